@@ -29,7 +29,8 @@ A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in
 and at most one behind it), and under `[ranges]` what differs from it, each a number or `{ low = A, high = B }`: gap_ahead_m, gap_behind_m, \
 leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may say how far each \
 of the eight numbers that a policy sees may be from the truth (docs/controllers.md); `leader_brakes_at_most_mps2 = B` lets the leader brake \
-as it likes, at 0 to B over each step, in place of a script. Exit code 1 if no part of the box is verified.
+as it likes, at 0 to B over each step, in place of a script; `follower_drives = \"idm\"` (or `acc-aeb`, or either with settings, \
+`{ idm = { time_headway_s = 1.2 } }`) puts another follower in the place of one with a latched emergency brake. Exit code 1 if no part of the box is verified.
 
 Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json

@@ -116,6 +116,7 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
                 leads
                     && (one.ranges, one.steps, one.step_s, one.follower_ttc_s)
                         == (other.ranges, other.steps, other.step_s, other.follower_ttc_s)
+                    && one.follower_law == other.follower_law
                     && one.policy_sha256 == other.policy_sha256
                     && one.observation_error.iter().zip(&other.observation_error).all(|(one, other)| one >= other)
                     && other.verified_share_at_least <= *verified_share + 1e-9
@@ -201,6 +202,7 @@ fn genuine() -> Vec<Genuine> {
     all.push(reach(NamedController::find("leaky-40-clip.onnx", &network("")).expect("there").kind, ""));
     // One that is verified, and one that a leader within the limit falsifies.
     all.extend([0.02, 7.5].map(|limit| reach(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
+    all.extend(["idm", "acc-aeb"].map(|law| reach(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))));
     all.extend([cruise(1), cruise(2)]);
     let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));

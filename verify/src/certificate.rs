@@ -74,6 +74,8 @@ pub enum Assumption {
     ScriptedLeader,
     /// The follower has the latched emergency brake described, sees the truth, and has neither lag nor noise.
     LatchedFollower,
+    /// The follower does at once what the stated law asks for at each step, sees the truth, and has neither delay, lag nor noise.
+    FollowerByLaw,
     /// No ego brakes or accelerates harder than stated.
     EgoWithinLimits,
     /// The egos follow the stated profile from the start, without delay, lag or noise.
@@ -106,6 +108,7 @@ impl std::fmt::Display for Assumption {
             }
             Self::ScriptedLeader => "the leader moves as scripted and reacts to nobody",
             Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
+            Self::FollowerByLaw => "the follower does at once, at each step, what the stated law asks for",
             Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",
             Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
             Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
@@ -200,7 +203,11 @@ impl Statement {
                 let needed = needed.into_iter().chain([Assumption::ObservedWithin, Assumption::TanhWithin]);
                 let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
                 let needed = needed.chain(of_source.into_iter().filter(|_| claim.source.is_some()));
-                return needed.chain(claim.follower_ttc_s.map(|_| Assumption::LatchedFollower)).collect();
+                let latched = claim.follower_ttc_s.map(|_| Assumption::LatchedFollower);
+                return needed
+                    .chain(latched)
+                    .chain(claim.follower_law.as_ref().map(|_| Assumption::FollowerByLaw))
+                    .collect();
             }
         };
         let follower = scene.follower.as_ref().map(|_| Assumption::LatchedFollower);

@@ -189,14 +189,17 @@ fn of_reach(claim: &Reach) -> Scope {
             network(&claim.policy_sha256, claim.source.as_ref())
         ),
     ];
-    vehicles.push(match claim.follower_ttc_s {
-        Some(ttc_s) => format!(
-            "behind: {} m behind, {} m/s, brakes at {} m/s² once its time to collision falls below {ttc_s} s",
-            of(Dimension::GapBehindM),
-            of(Dimension::FollowerSpeedMps),
-            of(Dimension::FollowerBrakeMps2)
-        ),
-        None => "behind: nobody".to_owned(),
+    let behind = |how: String| {
+        let [gap_m, speed_mps] = [Dimension::GapBehindM, Dimension::FollowerSpeedMps].map(of);
+        format!("behind: {gap_m} m behind, {speed_mps} m/s, {how}")
+    };
+    let brake_mps2 = of(Dimension::FollowerBrakeMps2);
+    vehicles.push(match (claim.follower_ttc_s, &claim.follower_law) {
+        (Some(ttc_s), _) => {
+            behind(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
+        }
+        (None, Some(law)) => behind(format!("{law}, at most {brake_mps2} m/s² of braking")),
+        (None, None) => "behind: nobody".to_owned(),
     });
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let limits = vec![format!(

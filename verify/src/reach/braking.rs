@@ -38,6 +38,17 @@ pub(super) struct Seen {
     pub(super) acceleration: Form,
 }
 
+impl Seen {
+    /// What holds those of either.
+    pub(super) fn joined(&self, other: &Self) -> Self {
+        Self {
+            distance: self.distance.joined(&other.distance),
+            speed: self.speed.joined(&other.speed),
+            acceleration: self.acceleration.joined(&other.acceleration),
+        }
+    }
+}
+
 impl Braking {
     pub(super) fn new(speed: Form, rate: Form, onset: Form, onset_range: Interval, step: Interval) -> Self {
         let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;

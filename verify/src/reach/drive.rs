@@ -26,6 +26,7 @@
 
 use super::actor::{Actor, OBSERVED};
 use super::braking::{Braking, Seen};
+use super::follower::{Behind, Follower, Law};
 use super::form::Form;
 use super::led::Leader;
 use super::members::{ByKind, Kind, Members, SHARED_SYMBOLS};
@@ -51,8 +52,8 @@ pub struct Scene<'a> {
     pub actor: &'a Actor,
     /// Where everybody starts.
     pub ranges: Ranges,
-    /// θ of the follower in seconds; none if nobody is behind.
-    pub follower_ttc_s: Option<f64>,
+    /// Who drives behind.
+    pub follower: Option<Follower>,
     /// b of a leader that accelerates at any rate from -b to 0, another one over each step, until it stands, in m/s²; its range of rates and
     /// its onset then have no meaning. None for one that brakes as these say.
     pub leader_brakes_at_most_mps2: Option<f64>,
@@ -125,15 +126,35 @@ fn driven(scene: &Scene<'_>, work: &Work, tube: Option<Tube>) -> (Reached, Optio
         tube,
     };
     let shared = SHARED_SYMBOLS + drive.leader.symbols();
-    let members = Members::starting(symbol(Dimension::EgoSpeedMps), shared);
+    let at_rest = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
+    let driven = scene.law().map(|_| at_rest(symbol(Dimension::FollowerSpeedMps)));
+    let members = Members::starting(symbol(Dimension::EgoSpeedMps), shared).followed(driven);
     let mut starts = ByKind::default();
     let kind = members.kind as usize;
     starts[kind] = Some(members);
     let never = f64::from(scene.steps);
-    let follower = scene.follower_ttc_s.map(|_| drive.follower([never, never]));
-    let touches = drive.travel(0, starts, follower.as_ref(), true);
+    let latched = scene.latched_ttc_s().map(|_| drive.follower([never, never]));
+    let touches = drive.travel(0, starts, latched.as_ref(), true);
     drive.reached.touches = touches == Some(true);
     (drive.reached, drive.tube.filter(|_| touches.is_some()))
+}
+
+impl Scene<'_> {
+    /// θ of a follower with a latched emergency brake, in seconds.
+    fn latched_ttc_s(&self) -> Option<f64> {
+        match self.follower {
+            Some(Follower::Latched { ttc_s }) => Some(ttc_s),
+            _ => None,
+        }
+    }
+
+    /// By which law somebody follows.
+    fn law(&self) -> Option<&Law> {
+        match &self.follower {
+            Some(Follower::Driven(law)) => Some(law),
+            _ => None,
+        }
+    }
 }
 
 impl Drive<'_> {
@@ -175,9 +196,11 @@ impl Drive<'_> {
                     }
                 }
                 stays &= set.members.kind == Kind::Standing && wanted.range().high() <= 0.0;
-                for members in set.members.after_decision(&wanted, self.step, every).into_iter().flatten() {
+                let (driven, behind_m) = self.follow(&set.members, &wanted).unzip();
+                let members = set.members.clone().followed(driven);
+                for members in members.after_decision(&wanted, self.step, every).into_iter().flatten() {
                     let now = self.look(k + every, members, follower);
-                    if self.compare(k, &set.gaps, &now, wanted.range(), follower) {
+                    if self.compare(k, &set.gaps, &now, wanted.range(), follower, behind_m) {
                         self.tube = None;
                     } else if self.scene.stop_at_doubt && self.reached.doubt.is_some() {
                         return None;
@@ -233,8 +256,8 @@ impl Drive<'_> {
     fn decide(&mut self, k: u32, Set { members, seen, .. }: &Set) -> Option<Form> {
         let of_leader = A_SYMBOL * self.leader.symbols() as u64;
         self.work.may_do(BESIDES + of_leader + A_STEP * u64::from(self.scene.decision_steps));
-        let Scene { actor, observation_error, follower_ttc_s, .. } = self.scene;
-        let wanted = actor.decide_within(seen, observation_error, follower_ttc_s.is_some(), self.work);
+        let Scene { actor, observation_error, follower, .. } = self.scene;
+        let wanted = actor.decide_within(seen, observation_error, follower.is_some(), self.work);
         let wanted = wanted.settled(members.symbols);
         if members.ego.speed.radius() < WIDEST_MPS && wanted.radius() < WIDEST_MPS {
             return Some(wanted);
@@ -244,7 +267,9 @@ impl Drive<'_> {
     }
 
     fn others_have_stood(&self, k: u32, follower: Option<&Braking>) -> bool {
-        self.leader.has_stood(k, self.step) && follower.is_none_or(|follower| follower.has_stood(k, self.step))
+        // Who follows by a law may creep for ever.
+        let has_stood = follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.law().is_none();
+        has_stood && self.leader.has_stood(k, self.step)
     }
 
     fn record(&mut self, k: u32, seen: &[Form; OBSERVED]) {
@@ -262,11 +287,9 @@ impl Drive<'_> {
         let ego = members.ego.clone();
         let [ahead, behind] = &self.gaps;
         let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
+        let follower = members.follower.clone().or_else(|| Some(follower?.at(k, self.step)));
         let (behind, follower) = match follower {
-            Some(follower) => {
-                let follower = follower.at(k, self.step);
-                (behind.clone().plus(&ego.distance).minus(&follower.distance), follower)
-            }
+            Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
             None => {
                 let nobody = Seen { acceleration: Form::default(), ..ego.clone() };
                 (Form::constant(Interval::point(self.scene.actor.empty_gap_m)), nobody)
@@ -282,7 +305,7 @@ impl Drive<'_> {
     /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and
     /// whether it surely does.
     fn firing(&self, k: u32, members: &Members, wanted: &Form, follower: &Braking) -> Option<([f64; 2], bool)> {
-        let theta = Interval::point(self.scene.follower_ttc_s?);
+        let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
             let ego = members.moved(wanted, self.step, j);
@@ -301,7 +324,26 @@ impl Drive<'_> {
         first.map(|first| ([first, last], false))
     }
 
-    /// Takes note of the gaps over a decision interval; whether all members surely touch.
+    /// Who follows by a law, at the next decision, and a bound of the gap until then, in metres.
+    fn follow(&self, members: &Members, wanted: &Form) -> Option<(Seen, f64)> {
+        let start = members.follower.as_ref()?;
+        let behind = Behind::new(self.scene.law()?, &self.scene.ranges, &self.gaps[1], self.step);
+        let eighth = self.step.sqr() * Interval::point(0.125);
+        let ahead = wanted.range().max(Interval::ZERO);
+        let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
+        for j in 1..=self.scene.decision_steps {
+            let ego_later = members.moved(wanted, self.step, j);
+            let (later, acceleration) = behind.stepped(&own, &ego);
+            // As in `compare`, over one step.
+            let m = ahead + (-acceleration.range()).max(Interval::ZERO);
+            let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
+            least_m = least_m.min((ends - m * eighth).low());
+            (own, ego) = (later, ego_later);
+        }
+        Some((own, least_m))
+    }
+
+    /// Takes note of the gaps over a decision interval, the one to who follows by a law among them; whether all members surely touch.
     fn compare(
         &mut self,
         k: u32,
@@ -309,23 +351,23 @@ impl Drive<'_> {
         now: &Set,
         acts_mps2: Interval,
         follower: Option<&Braking>,
+        driven_m: Option<f64>,
     ) -> bool {
         let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
         let eighth = interval.sqr() * Interval::point(0.125);
         let braking = (-acts_mps2).max(Interval::ZERO);
-        let mut closing = vec![braking];
+        let least_m = |pair: usize, m: Interval| {
+            let least = before[pair].range().min(now.gaps[pair].range());
+            (least - m * eighth).low()
+        };
         // Nobody is behind the ego, or somebody who brakes at most as hard as stated.
         let moves = now.members.ego.speed.range().low() > 0.0;
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
-        closing.extend(follower.map(|follower| (ahead + follower.rate.range()).max(Interval::ZERO)));
-        let mut touches = false;
         // Nobody reverses: the gap to a follower that stands never falls.
-        if follower.is_some_and(|follower| follower.has_stood(k, self.step)) {
-            closing.truncate(1);
-        }
-        for (pair, m) in closing.into_iter().enumerate() {
-            let least = before[pair].range().min(now.gaps[pair].range());
-            let gap_m = (least - m * eighth).low();
+        let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
+        let latched_m = latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
+        let mut touches = false;
+        for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)].into_iter().flatten().enumerate() {
             self.reached.gaps_m[pair] = self.reached.gaps_m[pair].min(gap_m);
             if gap_m <= 0.0 {
                 self.doubt(Doubt::MayTouch { pair, step: k, gap_m }, &now.gaps[pair]);

@@ -55,7 +55,9 @@ pub(super) type ByKind<T> = [Option<T>; 3];
 pub(super) struct Members {
     pub(super) kind: Kind,
     pub(super) ego: Seen,
-    /// The first symbol that is the ego's own.
+    /// Who follows each of them, if somebody does by a law.
+    pub(super) follower: Option<Seen>,
+    /// The first symbol that is their own.
     shared: usize,
     /// The first symbol that is not in use.
     pub(super) symbols: usize,
@@ -66,33 +68,20 @@ impl Members {
     pub(super) fn starting(speed: Form, shared: usize) -> Self {
         let kind = if speed.is_zero() { Kind::Standing } else { Kind::Moving };
         let ego = Seen { distance: Form::default(), speed, acceleration: Form::default() };
-        Self { kind, ego, shared, symbols: shared }
+        Self { kind, ego, follower: None, shared, symbols: shared }
+    }
+
+    /// The same egos, followed like this.
+    pub(super) fn followed(self, follower: Option<Seen>) -> Self {
+        Self { follower, ..self }
     }
 
     /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
     pub(super) fn moved(&self, wanted: &Form, step: Interval, steps: u32) -> Seen {
-        let time = Interval::point(f64::from(steps)) * step;
-        let half = Interval::point(0.5);
-        let Seen { distance, speed, .. } = &self.ego;
-        if steps == 0 || speed.is_zero() && wanted.range().high() <= 0.0 {
+        if steps == 0 {
             return Seen { acceleration: Form::default(), ..self.ego.clone() };
         }
-        let mut free = speed.clone();
-        free.add(wanted, time);
-        let mut travelled = distance.clone();
-        let (least, most) = (free.range().low(), free.range().high());
-        if most <= 0.0 {
-            let farthest = speed.range().max(Interval::ZERO) * time * half;
-            travelled.shift(farthest.hull(Interval::ZERO));
-            return Seen { distance: travelled, speed: Form::default(), acceleration: wanted.clone() };
-        }
-        travelled.add(speed, time);
-        travelled.add(wanted, time.sqr() * half);
-        if least < 0.0 {
-            let reversed = Interval::point(-least) * time * half;
-            travelled.shift(reversed.hull(Interval::ZERO));
-        }
-        Seen { distance: travelled, speed: rectified(&free), acceleration: wanted.clone() }
+        moved(&self.ego, wanted, Interval::point(f64::from(steps)) * step)
     }
 
     /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
@@ -135,37 +124,50 @@ impl Members {
     /// The members of both, which may have different symbols but for the shared ones.
     pub(super) fn joined(&self, other: &Self) -> Self {
         let symbols = self.symbols.max(other.symbols);
-        let [a, b] = [&self.ego, &other.ego];
-        let (distance, speed) = (a.distance.joined(&b.distance), a.speed.joined(&b.speed));
-        let acceleration = a.acceleration.joined(&b.acceleration);
-        Self { symbols, ..self.clone() }.next(self.kind, distance, speed, acceleration)
+        let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.joined(b));
+        let Seen { distance, speed, acceleration } = self.ego.joined(&other.ego);
+        Self { kind: self.kind, ego: self.ego.clone(), follower, shared: self.shared, symbols }.next(
+            self.kind,
+            distance,
+            speed,
+            acceleration,
+        )
     }
 
     fn next(&self, kind: Kind, distance: Form, speed: Form, acceleration: Form) -> Self {
-        let next = Self { kind, ego: Seen { distance, speed, acceleration }, ..*self }.settled();
+        let (ego, follower) = (Seen { distance, speed, acceleration }, self.follower.clone());
+        let next = Self { kind, ego, follower, ..*self }.settled();
         if next.symbols > self.shared + MOST_SYMBOLS { next.merged().settled() } else { next }
     }
 
-    /// The same set with what is uncertain about distance and speed as symbols.
-    fn settled(self) -> Self {
-        let Seen { distance, speed, acceleration } = self.ego;
-        let used = [&distance, &speed, &acceleration].map(|form| form.terms().len());
-        let mut symbols = used.into_iter().fold(self.symbols, usize::max);
-        let mut settle = |form: Form| {
-            let settled = form.settled(symbols);
-            symbols = symbols.max(settled.terms().len());
-            settled
-        };
-        let ego = Seen { distance: settle(distance), speed: settle(speed), acceleration };
-        Self { kind: self.kind, ego, shared: self.shared, symbols }
+    /// The same set with what is uncertain about distances and speeds as symbols.
+    fn settled(mut self) -> Self {
+        let used = self.forms().map(|form| form.terms().len());
+        let mut symbols = used.fold(self.symbols, usize::max);
+        for seen in [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten() {
+            for form in [&mut seen.distance, &mut seen.speed] {
+                *form = std::mem::take(form).settled(symbols);
+                symbols = symbols.max(form.terms().len());
+            }
+        }
+        Self { symbols, ..self }
+    }
+
+    /// Distance, speed and acceleration of the ego, and of a follower.
+    fn forms(&self) -> impl Iterator<Item = &Form> {
+        let seen = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
+        seen.flat_map(|Seen { distance, speed, acceleration }| [distance, speed, acceleration])
     }
 
     /// The same set with fewer symbols: the pairs that cost least become one each.
     fn merged(mut self) -> Self {
-        let Seen { distance, speed, acceleration } = &mut self.ego;
         let mut vectors: Vec<Vector> = (self.shared..self.symbols)
             .map(|symbol| {
-                [&*distance, speed, acceleration].map(|form| form.terms().get(symbol).copied().unwrap_or(0.0))
+                let mut vector = Vector::default();
+                for (to, form) in vector.iter_mut().zip(self.forms()) {
+                    *to = form.terms().get(symbol).copied().unwrap_or(0.0);
+                }
+                vector
             })
             .filter(|vector| *vector != Vector::default())
             .map(upright)
@@ -181,7 +183,9 @@ impl Members {
             beyond = std::array::from_fn(|i| up(beyond[i] + pair.beyond[i]));
         }
         vectors.retain(|vector| *vector != Vector::default());
-        for (i, form) in [distance, speed, acceleration].into_iter().enumerate() {
+        let seen = [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten();
+        let forms = seen.flat_map(|seen| [&mut seen.distance, &mut seen.speed, &mut seen.acceleration]);
+        for (i, form) in forms.enumerate() {
             form.replace(self.shared, vectors.iter().map(|vector| vector[i]), beyond[i]);
         }
         self.symbols = self.shared + vectors.len();
@@ -189,19 +193,47 @@ impl Members {
     }
 }
 
-/// What a symbol is multiplied by in distance, speed and acceleration.
-type Vector = [f64; 3];
+/// A vehicle some time later, if it holds an acceleration until it stands; what it accelerates at is left open.
+pub(super) fn moved(Seen { distance, speed, .. }: &Seen, wanted: &Form, time: Interval) -> Seen {
+    let half = Interval::point(0.5);
+    if speed.is_zero() && wanted.range().high() <= 0.0 {
+        return Seen { distance: distance.clone(), speed: speed.clone(), acceleration: Form::default() };
+    }
+    let mut free = speed.clone();
+    free.add(wanted, time);
+    let mut travelled = distance.clone();
+    let (least, most) = (free.range().low(), free.range().high());
+    if most <= 0.0 {
+        let farthest = speed.range().max(Interval::ZERO) * time * half;
+        travelled.shift(farthest.hull(Interval::ZERO));
+        return Seen { distance: travelled, speed: Form::default(), acceleration: wanted.clone() };
+    }
+    travelled.add(speed, time);
+    travelled.add(wanted, time.sqr() * half);
+    if least < 0.0 {
+        let reversed = Interval::point(-least) * time * half;
+        travelled.shift(reversed.hull(Interval::ZERO));
+    }
+    Seen { distance: travelled, speed: rectified(&free), acceleration: wanted.clone() }
+}
+
+/// What a symbol is multiplied by in distance, speed and acceleration of the ego, and, where it follows by a law, of the follower.
+type Vector = [f64; 6];
 
 /// The vector or its negative, which says the same of a symbol.
 fn upright(vector: Vector) -> Vector {
-    let is_upright = vector[0] > 0.0 || vector[0] == 0.0 && vector[1] >= 0.0;
-    if is_upright { vector } else { vector.map(|number| -number) }
+    let [distance, speed, _, behind, speed_behind, _] = vector;
+    let first = [distance, speed, behind, speed_behind].into_iter().find(|&number| number != 0.0);
+    if first.is_some_and(|first| first < 0.0) { vector.map(|number| -number) } else { vector }
 }
 
-/// From -1 to 1, by how much of it is speed.
+/// From -1 to 1, by how much of it is the ego's speed; what is the follower's alone comes after that.
 fn direction(upright: &Vector) -> f64 {
-    let [distance, speed, _] = *upright;
-    if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) }
+    let of = |distance: f64, speed: f64| if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) };
+    match *upright {
+        [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => 3.0 + of(distance, speed),
+        [distance, speed, ..] => of(distance, speed),
+    }
 }
 
 /// Two vectors as one.
@@ -238,9 +270,8 @@ mod tests {
     use proptest::prelude::*;
 
     /// How far a set reaches along a direction, up to its middle: Σ |w · vector| for its symbols, and what belongs to no symbol.
-    fn reaches(members: &Members, along: &[f64; 3]) -> f64 {
-        let Seen { distance, speed, acceleration } = &members.ego;
-        let forms = [distance, speed, acceleration];
+    fn reaches(members: &Members, along: &[f64; 6]) -> f64 {
+        let forms: Vec<&Form> = members.forms().collect();
         let term = |symbol: usize| {
             forms.iter().zip(along).map(|(form, w)| form.terms().get(symbol).unwrap_or(&0.0) * w).sum::<f64>().abs()
         };
@@ -253,29 +284,33 @@ mod tests {
         #[test]
         fn fewer_symbols_hold_the_same_members(
             decay in 0.9..1.1_f64,
-            noise in prop::collection::vec(prop::array::uniform3(-1e-4..1e-4_f64), MOST_SYMBOLS + 10),
-            along in prop::array::uniform3(-1.0..1.0_f64),
+            noise in prop::collection::vec(prop::array::uniform6(-1e-4..1e-4_f64), MOST_SYMBOLS + 10),
+            along in prop::array::uniform6(-1.0..1.0_f64), is_followed: bool,
         ) {
-            let forms: Vec<Form> = (0..3)
+            let forms: Vec<Form> = (0..6)
                 .map(|i| {
                     let mut form = Form::constant(Interval::point(i as f64));
                     for (symbol, noise) in noise.iter().enumerate() {
                         let [distance, age] = [1.0, decay.powi(symbol as i32)];
-                        let term = [distance * age, 0.1 * age, -0.01 * age][i] + noise[i];
+                        let term = [distance * age, 0.1 * age, -0.01 * age][i % 3] + noise[i];
                         form.add(&Form::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0)), Interval::point(term));
                     }
                     form
                 })
                 .collect();
-            let [distance, speed, acceleration] = forms.try_into().unwrap();
+            let [ego, follower] = [0, 3].map(|from| {
+                let [distance, speed, acceleration] = [0, 1, 2].map(|i| forms[from + i].clone());
+                Seen { distance, speed, acceleration }
+            });
+            let follower = is_followed.then_some(follower);
             let symbols = SHARED_SYMBOLS + MOST_SYMBOLS + 10;
-            let all = Members { kind: Kind::Moving, ego: Seen { distance, speed, acceleration }, shared: SHARED_SYMBOLS, symbols };
+            let all = Members { kind: Kind::Moving, ego, follower, shared: SHARED_SYMBOLS, symbols };
             let fewer = all.clone().merged();
             prop_assert!(fewer.symbols <= SHARED_SYMBOLS + FEWER_SYMBOLS);
             prop_assert_eq!(fewer.ego.speed.centre(), all.ego.speed.centre());
             let (before, after) = (reaches(&all, &along), reaches(&fewer, &along));
             prop_assert!(after >= before * (1.0 - 1e-12), "{before} {after}");
-            let largest = reaches(&all, &[1.0, 1.0, 1.0]);
+            let largest = reaches(&all, &[1.0; 6]);
             prop_assert!(after <= before + 0.05 * largest, "{before} {after}");
         }
     }

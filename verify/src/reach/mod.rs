@@ -17,6 +17,7 @@
 //! | leader that brakes as it likes | two symbols for the time between two decisions | what it did within the last step, at each decision anew |
 //! | products (braking rate and time) | product of the radii | second order |
 //! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
+//! | who follows by a law | the [law](follower), step by step | second order in the width; more where its emergency brake may fire |
 //! | which instant the follower fires at | a run for each decision interval in which it may, the instant a symbol | little |
 //! | what decisions long past were off by | symbols that act alike become one | next to nothing |
 //! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
@@ -35,6 +36,7 @@ pub mod bounds;
 pub mod braking;
 mod container;
 pub mod drive;
+mod follower;
 pub mod form;
 pub mod led;
 pub mod members;
@@ -57,6 +59,7 @@ pub use activation::Each;
 pub use actor::{Actor, Format, Input, Layer, OBSERVED, Own, Source, Step};
 use drive::reach_within;
 pub use drive::{Scene, Tube, reach, reach_with_tube};
+pub use follower::{AccAeb, Follower, Idm, Law};
 pub use ranges::{Dimension, Ranges};
 
 /// Most bytes that all threads together take for what is between two layers.
@@ -84,8 +87,12 @@ pub struct Reach {
     pub step_s: f64,
     /// N, the number of steps.
     pub steps: u32,
-    /// θ of the follower, in seconds; null if nobody is behind.
+    /// θ of a follower that holds its speed until its latched emergency brake fires, in seconds; null if it follows by a law, or
+    /// nobody is behind.
     pub follower_ttc_s: Option<f64>,
+    /// By which law somebody follows; absent if nobody does. Then `follower_brake_mps2` of the box is the hardest that it brakes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follower_law: Option<Box<Law>>,
     /// b of a leader that brakes as it likes: over each step it accelerates at any rate from -b to 0, in m/s², until it stands.
     /// `leader_brake_mps2` and `onset_steps` of the box are 0 then. Absent if it brakes as these say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -208,7 +215,7 @@ impl Reach {
         Ok(Scene {
             actor,
             ranges: self.ranges,
-            follower_ttc_s: self.follower_ttc_s,
+            follower: self.follower()?,
             leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
             observation_error: self.observation_error,
             step_s: self.step_s,
@@ -216,6 +223,18 @@ impl Reach {
             decision_steps,
             stop_at_doubt: true,
         })
+    }
+
+    /// Who drives behind.
+    ///
+    /// # Errors
+    /// [`Rejection`] if two are stated, or one that makes no sense.
+    fn follower(&self) -> Result<Option<Follower>, Rejection> {
+        match (self.follower_ttc_s, self.follower_law.as_deref()) {
+            (Some(_), Some(_)) => Err(Rejection::invalid("follower_law", "and `follower_ttc_s` are two followers")),
+            (Some(ttc_s), None) => Ok(Some(Follower::Latched { ttc_s })),
+            (None, law) => Ok(law.copied().map(Law::validated).transpose()?.map(Follower::Driven)),
+        }
     }
 
     /// N h, to the nanosecond: the claim is about no later time.
@@ -285,7 +304,7 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &W
         falsified_share,
         smallest_gap_m,
         horizon_s: claim.horizon_s(),
-        has_follower: claim.follower_ttc_s.is_some(),
+        has_follower: scene.follower.is_some(),
         leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
     })
 }

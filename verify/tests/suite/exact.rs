@@ -1,11 +1,12 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{Actor, Cell, Scene, Tube, reach_with_tube};
+use crumple_verify::reach::{Actor, Cell, Follower, Scene, Tube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
+use crate::driven::any_law;
 use crate::led::unscripted;
-use crate::reach::{any_ranges, any_unit, member, paper, reference, scene};
+use crate::reach::{LATCHED, any_ranges, any_unit, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, Start, simulate};
 use crate::support::exact::{Exact, TooClose, drive};
 use crate::support::networks::{any_network, network};
@@ -70,14 +71,15 @@ proptest! {
     /// decision, and no gap is below its bound at any half step. Boxes, and single starts, of which bounds are tightest.
     #[test]
     fn bounds_hold_to_the_last_bit(
-        ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), has_follower: bool, is_point: bool,
+        ranges in any_ranges(), seed: u64, gain in prop::option::of(0.2..1.2_f64), is_point: bool,
+        follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(Follower::Driven)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = Scene {
-            follower_ttc_s: has_follower.then_some(1.4), leader_brakes_at_most_mps2: limit_mps2, observation_error,
+            follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,
             stop_at_doubt: false, steps: 300, decision_steps: every, ..scene(&actor, ranges)
         };
         let bounds = (!is_point).then(|| reach_with_tube(&whole));
@@ -87,10 +89,10 @@ proptest! {
             let point = || Scene { ranges: ranges.at(&start).unwrap(), ..whole.clone() };
             let of_point = bounds.is_none().then(|| reach_with_tube(&point()));
             let Some((reached, tube)) = bounds.as_ref().or(of_point.as_ref()) else { continue };
-            let is_clear = run.1[0].is_at_least(0.0) && (!has_follower || run.1[1].is_at_least(0.0));
+            let is_clear = run.1[0].is_at_least(0.0) && (follower.is_none() || run.1[1].is_at_least(0.0));
             prop_assert!(!(reached.touches && is_clear), "{start:?}");
             let mut gaps_m = reached.gaps_m;
-            if !has_follower { gaps_m[1] = f64::NEG_INFINITY; }
+            if follower.is_none() { gaps_m[1] = f64::NEG_INFINITY; }
             let is_bounded = is_bounded(tube.as_ref(), reached.doubt.is_none().then_some(gaps_m), &run);
             prop_assert!(is_bounded.is_ok(), "{start:?} {seed}: {is_bounded:?}");
         }

@@ -4,7 +4,7 @@ use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Reach, Scene, reach,
 use crumple_verify::{Accepted, Assumption, Certificate, Interval, Rejection, check_with};
 use proptest::prelude::*;
 
-use crate::reach::{any_ranges, any_unit, certificate, claim, is_bounded, member, paper, reference, scene};
+use crate::reach::{LATCHED, any_ranges, any_unit, certificate, claim, is_bounded, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, simulate_led};
 use crate::support::networks::{any_network, network};
 
@@ -74,7 +74,7 @@ proptest! {
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
         let scene = Scene {
-            follower_ttc_s: has_follower.then_some(1.4), stop_at_doubt: false, steps: 400, decision_steps: every,
+            follower: has_follower.then_some(LATCHED), stop_at_doubt: false, steps: 400, decision_steps: every,
             ..led(&actor, ranges, limit_mps2)
         };
         let bounded = reach_with_tube(&scene);
@@ -89,9 +89,9 @@ proptest! {
     #[test]
     fn a_limit_of_nothing_says_what_a_script_of_nothing_says(ranges in any_ranges(), seed: u64, has_follower: bool) {
         let actor = any_network(seed);
-        let follower_ttc_s = has_follower.then_some(1.4);
+        let follower = has_follower.then_some(LATCHED);
         let scripted =
-            Scene { follower_ttc_s, steps: 300, stop_at_doubt: false, ..scene(&actor, unscripted(ranges)) };
+            Scene { follower, steps: 300, stop_at_doubt: false, ..scene(&actor, unscripted(ranges)) };
         let within = Scene { leader_brakes_at_most_mps2: Some(0.0), ..scripted.clone() };
         prop_assert_eq!(reach_with_tube(&scripted), reach_with_tube(&within));
         // And next to nothing next to the same.

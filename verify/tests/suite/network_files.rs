@@ -73,6 +73,7 @@ fn claim(file: &[u8]) -> Reach {
         step_s: 0.01,
         steps: 100,
         follower_ttc_s: None,
+        follower_law: None,
         leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         ranges: Ranges {

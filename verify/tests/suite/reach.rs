@@ -5,7 +5,7 @@ use crumple_verify::reach::form::Form;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    Actor, Cell, Dimension, Doubt, Layer, Ranges, Reach, Reached, Scene, Step, Tube, reach, reach_with_tube,
+    Actor, Cell, Dimension, Doubt, Follower, Layer, Ranges, Reach, Reached, Scene, Step, Tube, reach, reach_with_tube,
 };
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
 use proptest::prelude::*;
@@ -17,6 +17,9 @@ use crate::support::networks::{any_network, network};
 pub fn reference() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
 }
+
+/// The paper's follower.
+pub const LATCHED: Follower = Follower::Latched { ttc_s: 1.4 };
 
 fn between(low: f64, high: f64) -> Interval {
     Interval::new(low, high).unwrap()
@@ -41,7 +44,7 @@ pub fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
     Scene {
         actor,
         ranges,
-        follower_ttc_s: Some(1.4),
+        follower: Some(LATCHED),
         leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         step_s: 0.01,
@@ -141,7 +144,7 @@ pub fn is_bounded(
 ) -> Result<(), TestCaseError> {
     if reached.doubt.is_none() {
         prop_assert!(least[0] >= reached.gaps_m[0] - 1e-8, "{whose:?} {least:?} {reached:?}");
-        let is_behind = scene.follower_ttc_s.is_none() || least[1] >= reached.gaps_m[1] - 1e-8;
+        let is_behind = scene.follower.is_none() || least[1] >= reached.gaps_m[1] - 1e-8;
         prop_assert!(is_behind, "{whose:?} {least:?} {reached:?}");
     }
     if reached.touches {
@@ -172,7 +175,7 @@ proptest! {
         // One of crumple's own, or any.
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
         let scene = Scene {
-            follower_ttc_s: has_follower.then_some(1.4), stop_at_doubt: false, steps: 400, decision_steps: every,
+            follower: has_follower.then_some(LATCHED), stop_at_doubt: false, steps: 400, decision_steps: every,
             ..scene(&actor, ranges)
         };
         let bounded = reach_with_tube(&scene);
@@ -199,7 +202,7 @@ fn who_stands_is_not_forgotten() {
 }
 
 /// Starts that come as close to contact as hill climbing finds; the smallest gap.
-fn attacked(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
+pub fn attacked(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
     let mut numbers = Numbers(seed);
     let gap = |place: [f64; 8]| {
         let start = member(&scene.ranges, place);
@@ -260,6 +263,7 @@ pub fn claim() -> Reach {
         step_s: 0.01,
         steps: 300,
         follower_ttc_s: Some(1.4),
+        follower_law: None,
         leader_brakes_at_most_mps2: None,
         observation_error: [1e-9; 8],
         ranges,

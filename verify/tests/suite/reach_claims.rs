@@ -24,6 +24,7 @@ fn claim() -> Reach {
         step_s: 0.01,
         steps: 300,
         follower_ttc_s: Some(1.4),
+        follower_law: None,
         leader_brakes_at_most_mps2: None,
         observation_error: [0.0; 8],
         ranges: Ranges {

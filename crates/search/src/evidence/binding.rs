@@ -123,7 +123,9 @@ fn scenario_of(certificate: &Certificate) -> Result<Scenario, Unbound> {
 }
 
 fn is_same_run(claim: &Reach, starts: &Starts) -> bool {
-    (claim.step_s, claim.steps, claim.follower_ttc_s) == (starts.step_s, starts.steps, starts.follower_ttc_s)
+    (claim.step_s, claim.steps) == (starts.step_s, starts.steps)
+        && (claim.follower_ttc_s, claim.follower_law.as_deref())
+            == (starts.follower_ttc_s, starts.follower_law.as_ref())
 }
 
 const BOX_TEXT: &str = "provenance.box_text";

@@ -37,7 +37,7 @@ pub struct BoxSpec {
     /// Why these ranges.
     #[serde(default)]
     pub about: String,
-    /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower with the baseline.
+    /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower, that drives with the baseline, idm or acc-aeb.
     pub scenario: String,
     /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
     #[serde(default = "exact")]
@@ -46,6 +46,9 @@ pub struct BoxSpec {
     /// another one at each, until it stands. It never speeds up. `ranges` then says nothing of its braking.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader_brakes_at_most_mps2: Option<f64>,
+    /// If given, the follower drives like this in place of the scenario's: `baseline`, `idm` or `acc-aeb`, by name or with settings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follower_drives: Option<Driver>,
     /// What varies. Behind the numbers, as tables are in TOML.
     pub ranges: RangesSpec,
 }
@@ -104,6 +107,8 @@ pub const MOST_BOXES: usize = 1_000_000;
 /// What is to be cut.
 pub struct ReachPlan {
     scenario: Scenario,
+    /// In place of the scenario's.
+    follower_drives: Option<Driver>,
     /// The scenario and the box as files.
     texts: [String; 2],
     controller: ControllerKind,
@@ -164,7 +169,15 @@ impl BoxSpec {
     #[must_use]
     pub fn around(scenario: &str, ranges: RangesSpec) -> Self {
         let (about, scenario) = (String::new(), scenario.to_owned());
-        Self { version: 1, about, scenario, observation_error: exact(), leader_brakes_at_most_mps2: None, ranges }
+        Self {
+            version: 1,
+            about,
+            scenario,
+            observation_error: exact(),
+            leader_brakes_at_most_mps2: None,
+            follower_drives: None,
+            ranges,
+        }
     }
 
     /// Reads a box from TOML text; `path` only names it in errors.
@@ -214,6 +227,7 @@ impl ReachPlan {
             step_s: starts.step_s,
             steps: starts.steps,
             follower_ttc_s: starts.follower_ttc_s,
+            follower_law: starts.follower_law.map(Box::new),
             leader_brakes_at_most_mps2: starts.leader_brakes_at_most_mps2,
             observation_error: spec.observation_error,
             ranges: starts.ranges,
@@ -224,7 +238,8 @@ impl ReachPlan {
         };
         claim.scene(&actor).map_err(of_rejected)?;
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
-        let plan = Self { scenario, texts, controller, bytes, actor, claim };
+        let follower_drives = spec.follower_drives.clone();
+        let plan = Self { scenario, follower_drives, texts, controller, bytes, actor, claim };
         // Whatever else is wrong with a start shows here.
         plan.touches(&[0.5; 8])?;
         Ok(plan)
@@ -372,6 +387,9 @@ impl ReachPlan {
                 for follower in rest {
                     follower.position_m = ego.position_m - ego.length_m() - behind_m;
                     (follower.speed_mps, follower.max_brake_mps2) = (follower_mps, Some(follower_brake_mps2));
+                    if let Some(driver) = &self.follower_drives {
+                        follower.driver = driver.clone();
+                    }
                 }
             }
         });
@@ -418,6 +436,7 @@ fn of_start(invalid: InvalidField) -> InvalidBox {
         "vehicles[2].speed_mps" => "ranges.follower_speed_mps",
         "vehicles[2].max_brake_mps2" => "ranges.follower_brake_mps2",
         "vehicles[0].driver.brake.onset_s" => "ranges.onset_s",
+        driver if driver.starts_with("vehicles[2].driver") => "follower_drives",
         brake if brake.starts_with("vehicles[0].driver.brake") => "ranges.leader_brake_mps2",
         _ => return InvalidBox::Start(invalid),
     };

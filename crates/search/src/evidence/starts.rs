@@ -1,7 +1,7 @@
 //! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::Ranges;
+use crumple_verify::reach::{AccAeb, Idm, Law, Ranges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
@@ -9,6 +9,8 @@ use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 
 /// The field of a box that lets the leader brake as it likes.
 const LEADER_LIMIT: &str = "leader_brakes_at_most_mps2";
+/// The field of a box that says who drives behind.
+const FOLLOWER: &str = "follower_drives";
 
 /// A scenario with ranges in place of some of its numbers, as the checker knows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,6 +18,7 @@ pub(super) struct Starts {
     pub(super) step_s: f64,
     pub(super) steps: u32,
     pub(super) follower_ttc_s: Option<f64>,
+    pub(super) follower_law: Option<Law>,
     /// Within which limit the leader brakes as it likes; then the ranges say 0 of its rate and onset.
     pub(super) leader_brakes_at_most_mps2: Option<f64>,
     pub(super) ranges: Ranges,
@@ -49,17 +52,15 @@ impl Starts {
                  stay in the lane",
             ));
         }
-        let follower_ttc_s = match rest {
-            [] => None,
-            [follower] => match &follower.driver {
-                Driver::Controller(ControllerSpec::Baseline(aeb)) => Some(aeb.ttc_s),
-                _ => return Err(wrong("the follower must drive with the baseline")),
-            },
+        let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
+            ([], None) => (None, None),
+            ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER, "has no meaning where nobody is behind")),
+            ([follower], in_place) => of_follower(follower, in_place.as_ref())?,
             _ => return Err(wrong("has too many vehicles")),
         };
         let step_s = scenario.spec().step_s;
         let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
-        let of_follower = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let behind = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
         let given = &spec.ranges;
         let led = spec.leader_brakes_at_most_mps2;
         if let Some(limit_mps2) = led {
@@ -72,7 +73,7 @@ impl Starts {
             gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
             leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
             ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
-            follower_speed_mps: of_follower(given.follower_speed_mps, |v| v.speed_mps),
+            follower_speed_mps: behind(given.follower_speed_mps, |v| v.speed_mps),
             leader_brake_mps2: of_script(given.leader_brake_mps2, brake.rate_mps2),
             follower_brake_mps2: or(
                 given.follower_brake_mps2,
@@ -89,6 +90,7 @@ impl Starts {
             step_s,
             steps: scenario.steps() as u32,
             follower_ttc_s,
+            follower_law,
             leader_brakes_at_most_mps2: led,
             ranges,
             able_mps2,
@@ -112,6 +114,40 @@ impl Starts {
     pub(super) fn allows(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
         low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]
     }
+}
+
+/// How a follower drives, in place of what the scenario says if that is given: θ of its latched emergency brake, or a law.
+fn of_follower(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(Option<f64>, Option<Law>), InvalidBox> {
+    let max_accel_mps2 = follower.max_accel_mps2();
+    let law = match in_place.unwrap_or(&follower.driver) {
+        Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
+        Driver::Controller(ControllerSpec::Idm(idm)) => Law::Idm(Idm {
+            desired_speed_mps: idm.desired_speed_mps,
+            time_headway_s: idm.time_headway_s,
+            standstill_gap_m: idm.standstill_gap_m,
+            accel_mps2: idm.accel_mps2,
+            comfortable_brake_mps2: idm.comfortable_brake_mps2,
+            max_accel_mps2,
+        }),
+        Driver::Controller(ControllerSpec::AccAeb(acc)) => Law::AccAeb(AccAeb {
+            ttc_s: acc.ttc_s,
+            time_headway_s: acc.time_headway_s,
+            standstill_gap_m: acc.standstill_gap_m,
+            gap_gain_per_s2: acc.gap_gain_per_s2,
+            speed_gain_per_s: acc.speed_gain_per_s,
+            comfort_brake_mps2: acc.comfort_brake_mps2,
+            comfort_accel_mps2: acc.comfort_accel_mps2,
+            max_accel_mps2,
+        }),
+        other => {
+            let problem = format!("must drive with baseline, idm or acc-aeb, found {}", other.name());
+            return Err(match in_place {
+                Some(_) => InvalidBox::field(FOLLOWER, problem),
+                None => InvalidBox::field("scenario", format!("its follower {problem}")),
+            });
+        }
+    };
+    Ok((None, Some(law)))
 }
 
 /// Whether a leader can brake as it likes within a limit, and nothing is said of one script besides.

@@ -1,6 +1,6 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{Actor, Each, Input, Layer, Scene, Step};
+use crumple_verify::reach::{Actor, Each, Follower, Input, Law, Layer, Scene, Step};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type Start = [f64; 8];
@@ -52,6 +52,28 @@ fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
     if end < 0.0 { (v * v / (-2.0 * a), 0.0) } else { (v * h + 0.5 * a * h * h, end) }
 }
 
+/// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
+fn followed(law: &Law, set_speed: f64, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
+    let (wanted, most) = match law {
+        Law::Idm(idm) => {
+            let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
+            let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
+            let share = (idm.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
+            let free = 1.0 - (v / idm.desired_speed_mps).powi(4);
+            (idm.accel_mps2 * (free - share * share), idm.max_accel_mps2)
+        }
+        Law::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
+        Law::AccAeb(acc) => {
+            let cruise = acc.speed_gain_per_s * (set_speed - v);
+            let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
+            let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);
+            let comfortable = cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2);
+            (comfortable, acc.max_accel_mps2)
+        }
+    };
+    wanted.max(-brake).min(most)
+}
+
 /// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
 pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_led(scene, start, scripted(&start))
@@ -74,25 +96,33 @@ pub fn simulate_told(
     brake_l: impl Fn(u32) -> f64,
     error: impl Fn(u32) -> [f64; 8],
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
-    let Scene { actor, follower_ttc_s: ttc_s, steps, decision_steps: every, step_s: h, .. } = *scene;
+    let Scene { actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
+    let set_speed = v_r;
     let (mut a_l, mut a_e, mut a_r, mut wanted, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
-        let seen = match ttc_s {
+        let seen = match follower {
             Some(_) => [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
             None => [ahead, actor.empty_gap_m, v_l, v_e, v_e, a_l, a_e, 0.0],
         };
         if k % every == 0 {
             trace.push(seen);
             let error = error(k / every);
-            wanted = act(actor, std::array::from_fn(|i| seen[i] + error[i]), ttc_s.is_some());
+            wanted = act(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
         }
-        fired |= ttc_s.is_some_and(|ttc_s| behind - ttc_s * (v_r - v_e) < 0.0);
+        let wanted_r = match follower {
+            Some(Follower::Latched { ttc_s }) => {
+                fired |= behind - ttc_s * (v_r - v_e) < 0.0;
+                if fired { -brake_r } else { 0.0 }
+            }
+            Some(Follower::Driven(law)) => followed(&law, set_speed, brake_r, [behind, v_r, v_e]),
+            None => 0.0,
+        };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };
         a_l = held(v_l, -brake_l(k));
         a_e = held(v_e, wanted);
-        a_r = held(v_r, if fired { -brake_r } else { 0.0 });
+        a_r = held(v_r, wanted_r);
         let (moved_l, moved_e, moved_r);
         (moved_l, v_l) = step(v_l, a_l, h);
         (moved_e, v_e) = step(v_e, a_e, h);
@@ -100,7 +130,7 @@ pub fn simulate_told(
         ahead += moved_l - moved_e;
         behind += moved_e - moved_r;
         if k < steps {
-            least = [least[0].min(ahead), if ttc_s.is_some() { least[1].min(behind) } else { least[1] }];
+            least = [least[0].min(ahead), if follower.is_some() { least[1].min(behind) } else { least[1] }];
         }
     }
     (trace, least)

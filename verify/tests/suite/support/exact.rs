@@ -6,7 +6,7 @@
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{Actor, Each, Input, Layer, Scene, Step};
+use crumple_verify::reach::{Actor, Each, Follower, Input, Law, Layer, Scene, Step};
 use num_bigint::BigInt;
 
 use super::closed_loop::Start;
@@ -83,6 +83,12 @@ impl Exact {
         let [a, b] = ends(&down, &self.low);
         let [c, d] = ends(&|n, d| -down(&-n, d), &self.high);
         Self { low: a.min(b), high: c.max(d) }
+    }
+
+    /// The root of what is not negative.
+    fn sqrt(&self) -> Self {
+        let root = |scaled: &BigInt| (scaled << BITS).sqrt();
+        Self { low: root(&self.low), high: root(&self.high) + 1 }
     }
 
     /// Whether it is below another number.
@@ -244,6 +250,34 @@ fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
     h.into_iter().enumerate().map(of).collect()
 }
 
+/// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
+fn followed(law: &Law, set_speed: &Exact, brake: &Exact, [gap, v, ahead]: [&Exact; 3]) -> Result<Exact, TooClose> {
+    let of = |number: f64| Exact::from(number);
+    let closing = v.clone() - ahead.clone();
+    let (wanted, most) = match law {
+        Law::Idm(idm) => {
+            let mean = (of(idm.accel_mps2) * of(idm.comfortable_brake_mps2)).sqrt();
+            let dynamic = v.clone() * of(idm.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
+            let gap_wanted = of(idm.standstill_gap_m) + dynamic.max(&Exact::zero());
+            let share = gap_wanted.over(&gap.max(&of(0.01)));
+            let part = v.over(&of(idm.desired_speed_mps));
+            let squared = |number: Exact| number.clone() * number;
+            let free = of(1.0) - squared(squared(part)) - squared(share);
+            (of(idm.accel_mps2) * free, idm.max_accel_mps2)
+        }
+        Law::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
+        Law::AccAeb(acc) => {
+            let gain = of(acc.speed_gain_per_s);
+            let cruise = gain.clone() * (set_speed.clone() - v.clone());
+            let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
+            let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;
+            let comfortable = cruise.min(&follow).clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
+            (comfortable, acc.max_accel_mps2)
+        }
+    };
+    Ok(wanted.max(&-brake.clone()).min(&of(most)))
+}
+
 /// A vehicle over one step.
 struct Moved {
     /// Distance within half of the step, and within all of it.
@@ -280,14 +314,14 @@ pub fn drive(
     error: impl Fn(usize) -> [f64; 8],
     brake: Option<&dyn Fn(u32) -> f64>,
 ) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
-    let Scene { actor, follower_ttc_s, steps, decision_steps: every, .. } = *scene;
+    let Scene { actor, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(Exact::from);
     let step = Exact::from(scene.step_s);
     let zero = Exact::zero;
     let (mut a_l, mut a_e, mut a_r, mut wants, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
     for k in 0..=steps {
-        let seen = match follower_ttc_s {
+        let seen = match follower {
             Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(Exact::clone),
             None => [
                 ahead.clone(),
@@ -303,12 +337,17 @@ pub fn drive(
         if k % every == 0 {
             let error = error(trace.len());
             let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
-            wants = wanted(actor, &observed, follower_ttc_s.is_some());
+            wants = wanted(actor, &observed, follower.is_some());
             trace.push(seen);
         }
-        if let Some(ttc_s) = follower_ttc_s.filter(|_| !fired) {
-            fired = behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
-        }
+        let wants_r = match follower {
+            Some(Follower::Latched { ttc_s }) => {
+                fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
+                if fired { -brake_r.clone() } else { zero() }
+            }
+            Some(Follower::Driven(law)) => followed(&law, &start[4].into(), &brake_r, [&behind, &v_r, &v_e])?,
+            None => zero(),
+        };
         let brakes = match brake {
             Some(brake) => brake(k).into(),
             // The mean over the step it falls into.
@@ -316,19 +355,19 @@ pub fn drive(
         };
         let leader = moved(&v_l, &-brakes, &step)?;
         let ego = moved(&v_e, &wants, &step)?;
-        let follower = moved(&v_r, &if fired { -brake_r.clone() } else { zero() }, &step)?;
+        let behind_it = moved(&v_r, &wants_r, &step)?;
         if k < steps {
             for place in [0, 1] {
-                let [l, e, r] = [&leader, &ego, &follower].map(|moved| moved.covered_m[place].clone());
+                let [l, e, r] = [&leader, &ego, &behind_it].map(|moved| moved.covered_m[place].clone());
                 let gaps = [ahead.clone() + l - e.clone(), behind.clone() + e - r];
                 least = std::array::from_fn(|pair| least[pair].min(&gaps[pair]));
             }
         }
-        let [covered_l, covered_e, covered_r] = [&leader, &ego, &follower].map(|moved| moved.covered_m[1].clone());
+        let [covered_l, covered_e, covered_r] = [&leader, &ego, &behind_it].map(|moved| moved.covered_m[1].clone());
         ahead = ahead + covered_l - covered_e.clone();
         behind = behind + covered_e - covered_r;
-        (v_l, v_e, v_r) = (leader.speed_mps, ego.speed_mps, follower.speed_mps);
-        (a_l, a_e, a_r) = (leader.held_mps2, ego.held_mps2, follower.held_mps2);
+        (v_l, v_e, v_r) = (leader.speed_mps, ego.speed_mps, behind_it.speed_mps);
+        (a_l, a_e, a_r) = (leader.held_mps2, ego.held_mps2, behind_it.held_mps2);
     }
     Ok((trace, least))
 }

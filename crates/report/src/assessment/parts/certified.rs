@@ -380,6 +380,9 @@ fn around(reach: &Reach) -> Known {
     if let Some(limit_mps2) = reach.leader_brakes_at_most_mps2 {
         content += &format!(" leader within {limit_mps2:?}");
     }
+    if let Some(law) = &reach.follower_law {
+        content += &format!(" follower {law:?}");
+    }
     let horizon_s = reach.step_s * f64::from(reach.steps);
     // What a certificate calls its scenario is nobody's word but its own.
     let digest = sha256(&content);
