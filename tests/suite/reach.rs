@@ -5,10 +5,13 @@ use std::path::{Path, PathBuf};
 use crumple_search::evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
 use crumple_verify::{Accepted, Certificate, Statement, check_with};
-use crumple_world::control::{HistoryPadding, Input, Mapping, NetworkController, Output, Quantity, Squash};
+use crumple_world::control::{
+    ControllerSpec, HistoryPadding, Input, Mapping, NetworkController, Output, Quantity, Squash,
+};
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
+use crumple_world::scenario::Driver;
 use crumple_world::sim::{ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -121,7 +124,7 @@ fn observed(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
     seen
 }
 
-/// Random networks, random boxes: what is certified is accepted, every trajectory is inside the tube, no gap is smaller than proved, and
+/// Random networks, random boxes, whoever follows: what is certified is accepted, every trajectory is inside the tube, no gap is smaller than proved, and
 /// what is falsified touches.
 #[test]
 fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
@@ -137,7 +140,10 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
             24.9 + size
         );
         let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
-        let plan = ReachPlan::new(network, &spec(scenario, &ranges)).unwrap_or_else(|error| panic!("{seed}: {error}"));
+        let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::named);
+        let follower_drives = followers[seed as usize % 4 % 3].clone().map(Driver::Controller);
+        let spec = BoxSpec { follower_drives, ..spec(scenario, &ranges) };
+        let plan = ReachPlan::new(network, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
         let partition = plan.partition(2, |_| ()).unwrap();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()));
         assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");

@@ -1,9 +1,10 @@
 //! `crumple check` and what a forger meets there.
 
+use crumple_verify::reach::Law;
 use crumple_verify::{Certificate, Registration, Statement};
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
-use crumple_world::scenario::{built_in, file};
+use crumple_world::scenario::{Driver, built_in, file};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -275,6 +276,69 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         let place = format!("bad.toml:{line}");
         let error = stderr(&said);
         assert!(code(&said) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
+    }
+}
+
+/// A follower that drives by a law: what is claimed is printed, bound to the box file, and about scenarios in which it drives.
+#[test]
+fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
+    let folder = folder();
+    let of_box = |field: &str| {
+        format!(
+            "version = 1\nscenario = \"paper-1\"\n{field}\n[ranges]\ngap_behind_m = {{ low = 15.9, high = 16.0 }}\n"
+        )
+    };
+    let made = |field: &str, name: &str| {
+        std::fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
+        crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", "3", "--certificate", name])
+    };
+    let said = made("follower_drives = \"idm\"", "idm.json");
+    assert_eq!(code(&said), 0, "{}", stderr(&said));
+    let checked = crumple(folder.path(), &["check", "idm.json"]);
+    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
+    for words in [
+        "drives idm towards 33.333333333333336 m/s with a time headway of 1.6 s",
+        "the follower does at once, at each step, what the stated law asks for",
+    ] {
+        assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
+    }
+    assert!(!stdout(&checked).contains("latched"), "{}", stdout(&checked));
+    // Behind paper-1's own follower another one drives.
+    let about = crumple(folder.path(), &["check", "idm.json", "--scenario", "paper-1"]);
+    assert!(code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+    // It is about a scenario in which that follower drives.
+    let followed = built_in("paper-1").unwrap().edited(|spec| {
+        spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named("idm").unwrap());
+    });
+    let followed = followed.unwrap();
+    std::fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
+    let about = crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
+    assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
+
+    // Another law than that of the box.
+    let genuine = read(folder.path(), "idm.json");
+    for headway_s in [1.5, 1.7] {
+        let mut forged = genuine.clone();
+        let Statement::Reach(claim) = &mut forged.statement else { panic!("reach") };
+        let Some(Law::Idm(idm)) = claim.follower_law.as_deref_mut() else { panic!("idm") };
+        idm.time_headway_s = headway_s;
+        claim.min_gap_m_at_least = 0.0;
+        write(folder.path(), "forged.json", &forged);
+        let said = crumple(folder.path(), &["check", "forged.json"]);
+        let differs = stdout(&said).contains("is not about the scenario, or box around it");
+        assert!(code(&said) == 1 && differs, "{}", stdout(&said));
+    }
+
+    // What is wrong is one line with file, line and field.
+    for (field, problem) in [
+        ("follower_drives = \"rss\"", "follower_drives: must drive with baseline, idm or acc-aeb, found rss"),
+        ("follower_drives = \"nobody\"", "nobody"),
+        ("follower_drives = { idm = { time_headway_s = -1.0 } }", "follower_drives"),
+    ] {
+        std::fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
+        let said = crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        let error = stderr(&said);
+        assert!(code(&said) == 2 && error.contains("bad.toml:3") && error.contains(problem), "{field}: {error}");
     }
 }
 

@@ -1,7 +1,9 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Layer, Own, Ranges, Reach};
+use crumple_verify::reach::{AccAeb, Actor, Cell, Dimension, Idm, Law, Layer, Own, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};
+
+use crate::driven::{ACC_AEB, IDM};
 
 fn actor() -> Actor {
     Actor::from(Own {
@@ -50,6 +52,9 @@ fn what_makes_no_sense_is_named() {
     assert_eq!(scene, Ok((300, 10)));
     assert!(Reach { steps: 10, ..claim() }.scene(&actor()).is_ok(), "one decision");
     assert!(Reach { follower_ttc_s: Some(0.0), ..claim() }.scene(&actor()).is_ok(), "a brake for contact alone");
+    let (Law::Idm(idm), Law::AccAeb(acc_aeb)) = (IDM, ACC_AEB) else { panic!() };
+    let followed = |law| Reach { follower_ttc_s: None, follower_law: Some(Box::new(law)), ..claim() };
+    assert!(followed(ACC_AEB).scene(&actor()).is_ok());
     let backwards = Interval::point(-1.0);
     let wrong: Vec<(&str, Reach)> = [
         ("step_s", Reach { step_s: 0.0, ..claim() }),
@@ -65,6 +70,10 @@ fn what_makes_no_sense_is_named() {
         ("ranges.ego_speed_mps", Reach { ranges: Ranges { ego_speed_mps: backwards, ..claim().ranges }, ..claim() }),
         ("follower_ttc_s", Reach { follower_ttc_s: Some(-0.1), ..claim() }),
         ("follower_ttc_s", Reach { follower_ttc_s: Some(f64::NAN), ..claim() }),
+        ("follower_law", Reach { follower_law: Some(Box::new(IDM)), ..claim() }),
+        ("follower_law", followed(Law::Idm(Idm { accel_mps2: 0.0, ..idm }))),
+        ("follower_law", followed(Law::Idm(Idm { time_headway_s: -0.1, ..idm }))),
+        ("follower_law", followed(Law::AccAeb(AccAeb { ttc_s: f64::INFINITY, ..acc_aeb }))),
     ]
     .into_iter()
     .chain([-1e-9, f64::INFINITY].map(|error| {
