@@ -198,7 +198,10 @@ fn of_reach(claim: &Reach) -> Scope {
         (Some(ttc_s), _) => {
             behind(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
         }
-        (None, Some(law)) => behind(format!("{law}, at most {brake_mps2} m/s² of braking")),
+        (None, Some(law)) => {
+            let accel_mps2 = law.max_accel_mps2();
+            behind(format!("{law}; it brakes at up to {brake_mps2} and accelerates at up to {accel_mps2} m/s²"))
+        }
         (None, None) => "behind: nobody".to_owned(),
     });
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);

@@ -98,26 +98,24 @@ impl fmt::Display for Law {
         match self {
             Self::Idm(law) => write!(
                 out,
-                "drives idm towards {} m/s with a time headway of {} s, {} m at standstill, {} and {} m/s², at most {} m/s² of acceleration",
+                "drives idm towards {} m/s with a time headway of {} s, {} m at standstill, {} and {} m/s²",
                 law.desired_speed_mps,
                 law.time_headway_s,
                 law.standstill_gap_m,
                 law.accel_mps2,
-                law.comfortable_brake_mps2,
-                law.max_accel_mps2
+                law.comfortable_brake_mps2
             ),
             Self::AccAeb(law) => write!(
                 out,
                 "drives acc-aeb with a time headway of {} s, {} m at standstill, gains {} and {}, from -{} to {} m/s², and full braking while its \
-                 time to collision is below {} s, at most {} m/s² of acceleration",
+                 time to collision is below {} s",
                 law.time_headway_s,
                 law.standstill_gap_m,
                 law.gap_gain_per_s2,
                 law.speed_gain_per_s,
                 law.comfort_brake_mps2,
                 law.comfort_accel_mps2,
-                law.ttc_s,
-                law.max_accel_mps2
+                law.ttc_s
             ),
         }
     }
@@ -154,7 +152,9 @@ impl Law {
         }
     }
 
-    fn max_accel_mps2(&self) -> f64 {
+    /// Most that the vehicle accelerates at, in m/s².
+    #[must_use]
+    pub fn max_accel_mps2(&self) -> f64 {
         match self {
             Self::Idm(law) => law.max_accel_mps2,
             Self::AccAeb(law) => law.max_accel_mps2,

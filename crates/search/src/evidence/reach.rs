@@ -20,7 +20,9 @@ use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
-use crumple_world::scenario::{Brake, Driver, InvalidField, LeadProfile, Scenario, built_in, built_in_names};
+use crumple_world::scenario::{
+    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in, built_in_names,
+};
 use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
@@ -212,6 +214,11 @@ impl ReachPlan {
                 format!("must be a built-in one ({}), found `{}`", known.join(", "), spec.scenario),
             )
         })?;
+        if let Some(driver) = &spec.follower_drives {
+            // What is wrong with its settings is told by who knows them.
+            let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
+            scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(of_start)?;
+        }
         let starts = Starts::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
@@ -427,6 +434,9 @@ fn of_rejected(rejection: Rejection) -> InvalidBox {
 
 /// What is wrong with a start, at the range that it comes from.
 fn of_start(invalid: InvalidField) -> InvalidBox {
+    if let Some(setting) = invalid.field.strip_prefix("vehicles[2].driver.") {
+        return InvalidBox::field("follower_drives", format!("{setting} {}", invalid.problem));
+    }
     let range = match invalid.field.as_str() {
         // Whoever overlaps is the one behind.
         "vehicles[1].position_m" => "ranges.gap_ahead_m",
@@ -436,7 +446,6 @@ fn of_start(invalid: InvalidField) -> InvalidBox {
         "vehicles[2].speed_mps" => "ranges.follower_speed_mps",
         "vehicles[2].max_brake_mps2" => "ranges.follower_brake_mps2",
         "vehicles[0].driver.brake.onset_s" => "ranges.onset_s",
-        driver if driver.starts_with("vehicles[2].driver") => "follower_drives",
         brake if brake.starts_with("vehicles[0].driver.brake") => "ranges.leader_brake_mps2",
         _ => return InvalidBox::Start(invalid),
     };
