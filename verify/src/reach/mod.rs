@@ -36,7 +36,7 @@ pub mod bounds;
 pub mod braking;
 mod container;
 pub mod drive;
-mod follower;
+pub mod follower;
 pub mod form;
 pub mod led;
 pub mod members;
