@@ -9,8 +9,9 @@
 //!
 //! - `idm` (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), equations 3 and 4): A (1 - (v/v₀)⁴ - (s*/s)²) with
 //!   s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
-//! - `acc-aeb`: the smaller of k_v (v(0) - v) and k_g (s - s₀ - T v) + k_v (w - v), cut to its comfort limits; -b at a step at whose begin
-//!   s < θ (v - w).
+//! - `acc-aeb`: -b at a step at whose begin s < θ (v - w), and else the smaller of k_v (u - v) and k_g (s - s₀ - T v) + k_v (w - v), cut to its
+//!   comfort limits, where u is its speed at the first such step. Until then it has only braked, so that u is from 0 to v(0), and v(0) where the
+//!   brake does not fire at the start.
 //!
 //! The law is evaluated in forms, so that the follower of a member remembers which ego it followed: a sum costs nothing, a product or a bend the
 //! second order of the width. What that adds within a decision interval belongs to no symbol; at the decision it becomes symbols, like what
@@ -165,8 +166,8 @@ impl Law {
 /// A follower by a law, behind all egos of a set.
 pub(super) struct Behind<'a> {
     law: &'a Law,
-    /// v(0), b, and the gap at the start.
-    start_speed: Form,
+    /// u of `acc-aeb`, b, and the gap at the start.
+    set_speed: Form,
     brake: Form,
     start_gap: &'a Form,
     step: Interval,
@@ -183,8 +184,16 @@ struct Sight {
 impl<'a> Behind<'a> {
     pub(super) fn new(law: &'a Law, ranges: &Ranges, start_gap: &'a Form, step: Interval) -> Self {
         let get = |dimension: Dimension| Form::symbol(dimension as usize, ranges.get(dimension));
-        let (start_speed, brake) = (get(Dimension::FollowerSpeedMps), get(Dimension::FollowerBrakeMps2));
-        Self { law, start_speed, brake, start_gap, step }
+        let speed = get(Dimension::FollowerSpeedMps);
+        let closing = speed.clone().minus(&get(Dimension::EgoSpeedMps));
+        let start = Sight { gap: start_gap.clone(), speed, closing };
+        let set_speed = match law {
+            Law::AccAeb(law) if law.guard(&start).range().low() < 0.0 => {
+                Form::constant(start.speed.range().hull(Interval::ZERO))
+            }
+            _ => start.speed,
+        };
+        Self { law, set_speed, brake: get(Dimension::FollowerBrakeMps2), start_gap, step }
     }
 
     /// The gap to an ego.
@@ -214,7 +223,7 @@ impl<'a> Behind<'a> {
                 if guard.high() < 0.0 {
                     return self.able(&hardest());
                 }
-                let following = self.able(&law.followed(sight, &self.start_speed));
+                let following = self.able(&law.followed(sight, &self.set_speed));
                 if guard.low() >= 0.0 {
                     return following;
                 }
@@ -279,10 +288,10 @@ impl AccAeb {
     }
 
     /// What it asks for where the emergency brake does not fire.
-    fn followed(&self, Sight { gap, speed, closing }: &Sight, start_speed: &Form) -> Form {
+    fn followed(&self, Sight { gap, speed, closing }: &Sight, set_speed: &Form) -> Form {
         let point = Interval::point;
         let gain = point(self.speed_gain_per_s);
-        let cruise = start_speed.clone().minus(speed).scaled(gain);
+        let cruise = set_speed.clone().minus(speed).scaled(gain);
         let mut spacing = gap.clone();
         spacing.shift(-point(self.standstill_gap_m));
         spacing.add(speed, -point(self.time_headway_s));

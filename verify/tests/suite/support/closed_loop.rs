@@ -53,7 +53,7 @@ fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
-fn followed(law: &Law, set_speed: f64, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn followed(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
         Law::Idm(idm) => {
             let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
@@ -64,7 +64,7 @@ fn followed(law: &Law, set_speed: f64, brake: f64, [gap, v, ahead]: [f64; 3]) ->
         }
         Law::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
         Law::AccAeb(acc) => {
-            let cruise = acc.speed_gain_per_s * (set_speed - v);
+            let cruise = acc.speed_gain_per_s * (*set_speed.get_or_insert(v) - v);
             let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
             let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);
             let comfortable = cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2);
@@ -98,7 +98,7 @@ pub fn simulate_told(
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
     let Scene { actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
-    let set_speed = v_r;
+    let mut set_speed = None;
     let (mut a_l, mut a_e, mut a_r, mut wanted, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
@@ -116,7 +116,7 @@ pub fn simulate_told(
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;
                 if fired { -brake_r } else { 0.0 }
             }
-            Some(Follower::Driven(law)) => followed(&law, set_speed, brake_r, [behind, v_r, v_e]),
+            Some(Follower::Driven(law)) => followed(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
             None => 0.0,
         };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };

@@ -251,7 +251,12 @@ fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
-fn followed(law: &Law, set_speed: &Exact, brake: &Exact, [gap, v, ahead]: [&Exact; 3]) -> Result<Exact, TooClose> {
+fn followed(
+    law: &Law,
+    set_speed: &mut Option<Exact>,
+    brake: &Exact,
+    [gap, v, ahead]: [&Exact; 3],
+) -> Result<Exact, TooClose> {
     let of = |number: f64| Exact::from(number);
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
@@ -268,7 +273,7 @@ fn followed(law: &Law, set_speed: &Exact, brake: &Exact, [gap, v, ahead]: [&Exac
         Law::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
         Law::AccAeb(acc) => {
             let gain = of(acc.speed_gain_per_s);
-            let cruise = gain.clone() * (set_speed.clone() - v.clone());
+            let cruise = gain.clone() * (set_speed.get_or_insert_with(|| v.clone()).clone() - v.clone());
             let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
             let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;
             let comfortable = cruise.min(&follow).clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
@@ -316,7 +321,7 @@ pub fn drive(
 ) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
     let Scene { actor, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(Exact::from);
-    let step = Exact::from(scene.step_s);
+    let (step, mut set_speed) = (Exact::from(scene.step_s), None);
     let zero = Exact::zero;
     let (mut a_l, mut a_e, mut a_r, mut wants, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
@@ -345,7 +350,7 @@ pub fn drive(
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
                 if fired { -brake_r.clone() } else { zero() }
             }
-            Some(Follower::Driven(law)) => followed(&law, &start[4].into(), &brake_r, [&behind, &v_r, &v_e])?,
+            Some(Follower::Driven(law)) => followed(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
             None => zero(),
         };
         let brakes = match brake {
