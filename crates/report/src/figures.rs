@@ -30,7 +30,11 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
     panel.band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
     panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
-    panel.note((last * 0.995, PERFECT * 0.72), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
+    // Words stand where the curve's right end is not.
+    let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * last).map(|p| p.mean_reward).collect();
+    let is_high = right.iter().sum::<f64>() > 0.5 * PERFECT * right.len() as f64;
+    let words_at = |line: f64| (last * 0.995, PERFECT * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
+    panel.note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
             .to_owned();
@@ -38,7 +42,7 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
         let words = format!("dots: {} {:03}, before any training", untrained as i64 / 1000, untrained as i64 % 1000);
         panel.rule_y(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
-        panel.note((last * 0.995, PERFECT * 0.63), Anchor::End, &words, Ink::Muted);
+        panel.note(words_at(1.0), Anchor::End, &words, Ink::Muted);
         description += &format!(" Untrained networks stand at {untrained:.0}.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));

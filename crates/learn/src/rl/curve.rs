@@ -56,7 +56,12 @@ impl LearningCurve {
     /// The curve of trainings with these logs.
     #[must_use]
     pub fn from_logs(preset: &str, logs: &[String]) -> Self {
-        let curves: Vec<BTreeMap<u64, f64>> = logs.iter().map(|log| evaluations(log)).collect();
+        Self::from_evaluations(preset, &logs.iter().map(|log| evaluations(log)).collect::<Vec<_>>())
+    }
+
+    /// The curve of trainings with these rewards in evaluation, by episode.
+    #[must_use]
+    pub fn from_evaluations(preset: &str, curves: &[BTreeMap<u64, f64>]) -> Self {
         let episodes: BTreeSet<u64> = curves.iter().flat_map(|curve| curve.keys().copied()).collect();
         let point = |episode| {
             let rewards: Vec<f64> = curves.iter().filter_map(|curve| reward_at(curve, episode)).collect();
@@ -66,7 +71,7 @@ impl LearningCurve {
             let tenth = |reward: f64| (10.0 * reward).round() / 10.0;
             CurvePoint { episode, mean_reward: tenth(mean_reward), deviation: tenth(variance.sqrt()) }
         };
-        Self { preset: preset.to_owned(), seeds: logs.len(), points: episodes.into_iter().map(point).collect() }
+        Self { preset: preset.to_owned(), seeds: curves.len(), points: episodes.into_iter().map(point).collect() }
     }
 }
 
