@@ -15,7 +15,7 @@
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test; behind them, perhaps, a follower
-//! with a latched emergency brake. Two vehicles touch when the gap between them is zero or less at any time from instant 0
+//! with a latched emergency brake, or, in *reach*, one that follows by a law. Two vehicles touch when the gap between them is zero or less at any time from instant 0
 //! to instant N. A claim over intervals holds for every member: every start, every acceleration within its bounds.
 //!
 //! - *Avoidable*: if the egos follow the stated profile, which is within their limits, nobody touches.
@@ -29,8 +29,8 @@
 //! # What is assumed
 //! What the certificate lists as [`Assumption`]s, and has to list. The numbers are those in the file, read as the nearest
 //! 64-bit floating-point numbers; that they describe the scenario whose text is in the file is not checked here, but by `crumple
-//! check`. Motion is that of real
-//! numbers: a simulator rounds, by about 1e-12 m. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
+//! check`. Motion is that of real numbers: a simulator rounds, at each step by about 1e-13 m within a kilometre of its origin and by
+//! 1e-10 m a thousand kilometres from it. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
 //!
 //! # Checking by hand
 //! A car at 20 m/s that can brake at 8 m/s², 1 m behind a standing vehicle of 2 m, steps of 0.1 s. One row says it all: at

@@ -1,7 +1,7 @@
 //! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
 //!
 //! Leader and follower brake to standstill at some time: see [`braking`](super::braking); or the leader brakes as it likes: see
-//! [`led`](super::led). What the ego does from one decision to the next: see [`members`](super::members).
+//! [`led`](super::led); or the follower drives by a law: see [`follower`](super::follower). What the ego does from one decision to the next: see [`members`](super::members).
 //!
 //! # Sets
 //! There is a set for each kind of ego: those that move, those that stand, those that have started again. Sets of a kind are joined
@@ -38,10 +38,12 @@ use crate::work::{Work, WorkLimit};
 /// Most windows in which the follower's brake may fire, and most decision intervals of which they are made.
 const MOST_WINDOWS: usize = 300;
 const MOST_INTERVALS: usize = 1000;
-/// Operations for all of a decision but the network, for each symbol of the leader there, and for looking at one step.
+/// Operations for all of a decision but the network, for each symbol of the leader there, for looking at one step, and for each symbol of who
+/// follows by a law in one step.
 const BESIDES: u64 = 50_000;
 const A_SYMBOL: u64 = 1_000;
 const A_STEP: u64 = 10_000;
+const A_SYMBOL_BY_LAW: u64 = 3_000;
 /// Bounds wider than this are given up, in m/s.
 const WIDEST_MPS: f64 = 40.0;
 
@@ -327,6 +329,7 @@ impl Drive<'_> {
     /// Who follows by a law, at the next decision, and a bound of the gap until then, in metres.
     fn follow(&self, members: &Members, wanted: &Form) -> Option<(Seen, f64)> {
         let start = members.follower.as_ref()?;
+        self.work.may_do(A_SYMBOL_BY_LAW * members.symbols as u64 * u64::from(self.scene.decision_steps));
         let behind = Behind::new(self.scene.law()?, &self.scene.ranges, &self.gaps[1], self.step);
         let eighth = self.step.sqr() * Interval::point(0.125);
         let ahead = wanted.range().max(Interval::ZERO);

@@ -14,7 +14,7 @@
 //!   brake does not fire at the start.
 //!
 //! The law is evaluated in forms, so that the follower of a member remembers which ego it followed: a sum costs nothing, a product or a bend the
-//! second order of the width. What that adds within a decision interval belongs to no symbol; at the decision it becomes symbols, like what
+//! second order of the width. It sees everything within [`ROUNDED`] of the truth, since that is what it sees in double precision. What that adds within a decision interval belongs to no symbol; at the decision it becomes symbols, like what
 //! is uncertain about the ego. Where the emergency brake of `acc-aeb` may fire or not, the acceleration is any number in between.
 
 use std::fmt;
@@ -31,6 +31,9 @@ use crate::interval::Interval;
 
 /// A gap below this counts as this, in metres, for who drives `idm`.
 const LEAST_GAP_M: f64 = 0.01;
+
+/// More than a simulator in double precision is off, within a kilometre of its origin, in what it shows to who follows, in m and m/s.
+const ROUNDED: f64 = 1e-9;
 
 /// Who drives behind.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -181,17 +184,24 @@ struct Sight {
     closing: Form,
 }
 
+impl Sight {
+    fn of(mut gap: Form, mut speed: Form, mut closing: Form) -> Self {
+        [&mut gap, &mut speed, &mut closing].into_iter().for_each(|form| form.widen(ROUNDED));
+        Self { gap, speed, closing }
+    }
+}
+
 impl<'a> Behind<'a> {
     pub(super) fn new(law: &'a Law, ranges: &Ranges, start_gap: &'a Form, step: Interval) -> Self {
         let get = |dimension: Dimension| Form::symbol(dimension as usize, ranges.get(dimension));
         let speed = get(Dimension::FollowerSpeedMps);
         let closing = speed.clone().minus(&get(Dimension::EgoSpeedMps));
-        let start = Sight { gap: start_gap.clone(), speed, closing };
+        let start = Sight::of(start_gap.clone(), speed.clone(), closing);
         let set_speed = match law {
             Law::AccAeb(law) if law.guard(&start).range().low() < 0.0 => {
-                Form::constant(start.speed.range().hull(Interval::ZERO))
+                Form::constant(speed.range().hull(Interval::ZERO))
             }
-            _ => start.speed,
+            _ => speed,
         };
         Self { law, set_speed, brake: get(Dimension::FollowerBrakeMps2), start_gap, step }
     }
@@ -233,7 +243,7 @@ impl<'a> Behind<'a> {
     }
 
     fn sight(&self, ego: &Seen, own: &Seen) -> Sight {
-        Sight { gap: self.gap(ego, own), speed: own.speed.clone(), closing: own.speed.clone().minus(&ego.speed) }
+        Sight::of(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
     }
 
     /// What the vehicle does of what is asked for.

@@ -1,7 +1,7 @@
 //! The closed loop of a learned policy, from every start of a box.
 //!
 //! Behind a leader that brakes drives an ego whose accelerations a network decides; behind it, perhaps, a follower with a latched
-//! emergency brake. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
+//! emergency brake, or one that follows by a law. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
 //! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
 //! file of the network and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`activation`]
 //! what is between its layers, [`braking`], [`led`] and [`drive`] the vehicles. What is uncertain is always enlarged, never dropped:
@@ -28,7 +28,7 @@
 //! simulator as said here: tests compare. Whether the file of a network from outside says what the source file and its mapping mean: that
 //! is as crumple has read them, an assumption of the claim; who has the source can have it read again (`crumple check --policy`). Whether the vehicle can do what the policy asks for: whoever draws up a box compares, a
 //! certificate does not know the vehicle. Motion is that of real numbers; stated observation errors of 10⁻⁹ also cover what a
-//! simulator in double precision rounds, but for who stands or brakes at an instant that rounding decides.
+//! simulator in double precision rounds within a kilometre of its origin, but for who stands or brakes at an instant that rounding decides.
 
 pub mod activation;
 pub mod actor;

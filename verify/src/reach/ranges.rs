@@ -20,7 +20,7 @@ pub struct Ranges {
     pub follower_speed_mps: Interval,
     /// How hard the leader brakes, in m/s².
     pub leader_brake_mps2: Interval,
-    /// How hard the follower's emergency brake brakes, in m/s².
+    /// How hard the follower's emergency brake brakes, and the hardest that one who follows by a law does, in m/s².
     pub follower_brake_mps2: Interval,
     /// When the leader begins to brake, in steps, not necessarily whole ones.
     pub onset_steps: Interval,

@@ -29,7 +29,8 @@ pub const ACC_AEB: Law = Law::AccAeb(AccAeb {
 
 /// Laws with other numbers, some of them 0 where they may be.
 pub fn any_law() -> impl Strategy<Value = Law> {
-    let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.1..4.0_f64, 0.1..4.0_f64, 0.0..3.0_f64);
+    let rate = || prop_oneof![4 => 0.1..4.0_f64, 1 => 4.0..30.0_f64];
+    let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, rate(), rate(), 0.0..3.0_f64);
     let idm = idm.prop_map(
         |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
             Law::Idm(Idm {
@@ -42,7 +43,7 @@ pub fn any_law() -> impl Strategy<Value = Law> {
             })
         },
     );
-    let number = |most: f64| prop_oneof![1 => Just(0.0), 6 => 0.0..most];
+    let number = |most: f64| prop_oneof![1 => Just(0.0), 6 => 0.0..most, 1 => most..5.0 * most];
     let acc = [4.0, 3.0, 5.0, 1.0, 2.0, 5.0, 3.0, 3.0].map(number);
     let acc = acc.prop_map(
         |[
@@ -83,9 +84,12 @@ proptest! {
     fn bounds_hold_whoever_follows(
         ranges in any_ranges(), law in any_law(), seed: u64, gain in prop::option::of(0.2..1.2_f64),
         places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
+        // Stops within a step, and a brake that lets go, matter in long steps.
+        step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
-        let scene = Scene { stop_at_doubt: false, steps: 400, decision_steps: every, ..followed(&actor, ranges, law) };
+        let whole = followed(&actor, ranges, law);
+        let scene = Scene { stop_at_doubt: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
         let bounded = reach_with_tube(&scene);
         for place in places {
             let start = member(&ranges, place);

@@ -75,12 +75,13 @@ proptest! {
         follower in prop::option::of(prop_oneof![Just(LATCHED), any_law().prop_map(Follower::Driven)]),
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
+        (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
     ) {
         let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = Scene {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,
-            stop_at_doubt: false, steps: 300, decision_steps: every, ..scene(&actor, ranges)
+            stop_at_doubt: false, step_s, steps, decision_steps: every, ..scene(&actor, ranges)
         };
         let bounds = (!is_point).then(|| reach_with_tube(&whole));
         for (place, seed) in places {

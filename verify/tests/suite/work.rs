@@ -1,8 +1,10 @@
 //! A file keeps the checker busy no longer than is allowed, however much it announces.
 
-use crumple_verify::{Accepted, Certificate, Rejection, WorkLimit, check, check_within};
+use crumple_verify::{Accepted, Certificate, Rejection, Statement, WorkLimit, check, check_within};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
+
+use crate::driven::IDM;
 
 const POLICY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors");
 
@@ -94,6 +96,18 @@ fn what_announces_much_is_given_up() {
         assert!(is_too_much(&check_within(&claim, None, WorkLimit::operations(1000))), "{name}");
         assert!(check_within(&claim, None, WorkLimit::billions(1)).is_ok(), "{name}");
     }
+}
+
+/// Who follows by a law takes operations in every step, however rarely the ego decides: some 300 000 of them here.
+#[test]
+fn who_follows_by_a_law_is_counted() {
+    let (mut claim, limit) = (reach(0, 3000), WorkLimit::operations(600_000_000));
+    assert!(check_within(&claim, Some(&policy()), limit).is_ok());
+    let Statement::Reach(of) = &mut claim.statement else { panic!() };
+    (of.follower_ttc_s, of.follower_law) = (None, Some(Box::new(IDM)));
+    claim.assumptions = claim.statement.assumptions();
+    assert!(is_too_much(&check_within(&claim, Some(&policy()), limit)));
+    assert!(check_within(&claim, Some(&policy()), WorkLimit::default()).is_ok());
 }
 
 /// Threads share what is allowed: where the limit lies does not depend on which of them is first.
