@@ -190,3 +190,6 @@ impl Bounds {
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
 }
+
+#[cfg(test)]
+mod tests;

@@ -193,3 +193,6 @@ pub fn exp_minus(y: f64) -> Interval {
     let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);
     (0..10).fold(sum(7).hull(sum(8)), |power, _| power.sqr())
 }
+
+#[cfg(test)]
+mod tests;

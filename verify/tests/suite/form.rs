@@ -102,6 +102,33 @@ proptest! {
         prop_assert!(!x.is_zero() || of_x == exact(0.0));
     }
 
+    /// What holds two forms keeps what they have in common, reaches no farther than they do, and is as far from either as the other.
+    #[test]
+    fn what_is_joined_reaches_no_farther((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
+        let joined = x.joined(&y).range();
+        let both = x.range().hull(y.range());
+        let slack = 1e-11 * (1e-280 + both.low().abs().max(both.high().abs()));
+        prop_assert!(both.low() - slack <= joined.low() && joined.high() <= both.high() + slack, "{joined:?} {both:?}");
+        let mut farther = x.clone();
+        farther.shift(Interval::point(by));
+        let joined = x.joined(&farther);
+        let size = 1.0 + x.centre().abs() + x.radius();
+        prop_assert_eq!(joined.terms().len(), x.terms().len());
+        for (found, term) in joined.terms().iter().zip(x.terms()) {
+            prop_assert_eq!(found, term);
+        }
+        prop_assert!((joined.rest() - x.rest() - 0.5 * by).abs() <= 1e-10 * size);
+    }
+
+    /// Half a unit in the last place for each product and each sum, at least.
+    #[test]
+    fn small_numbers_round_as_well(c in 1e-4..1e-2_f64, d in 1e-4..1e-2_f64, factor in 1e-3..0.5_f64) {
+        let mut sum = Form::constant(Interval::point(c));
+        sum.add(&Form::constant(Interval::point(d)), Interval::point(factor));
+        let least = 0.5 * f64::EPSILON * (factor * d + c + factor * d);
+        prop_assert!(sum.rest() >= least && sum.rest() <= 5.0 * least);
+    }
+
     /// What a form has in common with itself is not lost: bounds are no wider than rounding asks for.
     #[test]
     fn what_is_shared_cancels((x, _) in form(), symbols in prop::array::uniform3(unit())) {

@@ -81,6 +81,13 @@ fn what_has_no_value_is_the_whole_line() {
     assert!(everything((huge * huge) - (huge * huge)));
     assert!(everything((huge * huge) * zero) && everything(Interval::point(-1.0).sqrt()));
     assert_eq!((huge + huge).low(), f64::MAX);
+    // What is too large on one side only keeps the other.
+    let to_huge = Interval::new(0.0, f64::MAX).unwrap();
+    assert_eq!((huge * huge).low(), f64::MAX);
+    assert!(
+        (huge * to_huge).low() >= -1e-300 && (to_huge * huge).low() >= -1e-300 && (huge * -to_huge).high() <= 1e-300
+    );
+    assert!(zero.sqrt().low() == 0.0 && zero.sqrt().high() <= 1e-300);
 }
 
 #[test]

@@ -1,0 +1,158 @@
+//! What rounding adds, against the formulas written out, closer than it is itself.
+
+use super::*;
+use proptest::prelude::*;
+
+const NUMBERS: usize = 3;
+
+/// Inputs that share two symbols.
+fn inputs(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [Form; NUMBERS] {
+    std::array::from_fn(|i| {
+        let mut form = Form::constant(Interval::point(centres[i]));
+        form.replace(0, terms[i].into_iter(), rests[i]);
+        form
+    })
+}
+
+/// Bounds of as many numbers as there are inputs, with slopes, two columns of their own, and ρ.
+fn bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> Bounds {
+    Bounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
+}
+
+fn is_near(found: f64, expected: f64, relative: f64) -> bool {
+    (found - expected).abs() <= relative * expected.abs()
+}
+
+fn sizes(numbers: &[f64]) -> f64 {
+    numbers.iter().map(|number| number.abs()).sum()
+}
+
+fn any<const N: usize>(most: f64) -> impl Strategy<Value = [f64; N]> {
+    prop::collection::vec(-most..most, N).prop_map(|numbers| numbers.try_into().unwrap())
+}
+
+fn not_negative<const N: usize>(most: f64) -> impl Strategy<Value = [f64; N]> {
+    any::<N>(most).prop_map(|numbers| numbers.map(f64::abs))
+}
+
+fn rows<const N: usize, const M: usize>(most: f64) -> impl Strategy<Value = [[f64; N]; M]> {
+    prop::collection::vec(any::<N>(most), M).prop_map(|rows| rows.try_into().unwrap())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// A rectifier makes of each number c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ the chord of its range. What inputs have in common cancels in it,
+    /// and double precision adds a billionth of a thousandth of all sizes to ρ.
+    #[test]
+    fn what_a_function_makes_of_numbers_is_the_formula(
+        centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
+        centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
+    ) {
+        let inputs = inputs(centres, terms, rests);
+        let known = Inputs::new(&inputs);
+        let rho = if is_sure { [0.0; NUMBERS] } else { rho };
+        let mut found = bounds(centre, columns, rho);
+        found.each(&Each::Relu, &known);
+        let column = |j: usize, number: usize| columns[j][number];
+        let mut excess = found.excess.iter();
+        for number in 0..NUMBERS {
+            let slopes: [f64; NUMBERS] = std::array::from_fn(|i| column(i, number));
+            let own = column(NUMBERS, number).abs() + column(NUMBERS + 1, number).abs();
+            let shared = [0, 1].map(|symbol| (0..NUMBERS).map(|i| slopes[i] * terms[i][symbol]).sum::<f64>());
+            let apart: f64 = (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].radius()).sum();
+            let together = sizes(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SLACK * apart;
+            let bent = |by: f64| {
+                let radius = (by + own + rho[number]) * (1.0 + SLACK);
+                (centre[number] - radius, centre[number] + radius)
+            };
+            let (low, high) = if bent(apart).0 < 0.0 && bent(apart).1 > 0.0 { bent(together) } else { bent(apart) };
+            if high <= 0.0 {
+                prop_assert!(found.centre[number] == 0.0 && found.rho[number] == 0.0);
+                prop_assert!(found.columns.iter().skip(number).step_by(NUMBERS).all(|&factor| factor == 0.0));
+            } else if low >= 0.0 {
+                prop_assert!(found.centre[number] == centre[number] && found.rho[number] == rho[number]);
+            } else {
+                let slope = high / (high - low);
+                let half = -0.5 * slope * low;
+                let &(of, radius) = excess.next().unwrap();
+                prop_assert!(of == number && is_near(radius, half, 3e-14), "{radius} {half}");
+                prop_assert!((found.centre[number] - (centre[number] * slope + half)).abs() <= 1e-14);
+                for (j, &factor) in found.columns.iter().skip(number).step_by(NUMBERS).enumerate() {
+                    prop_assert!((factor - slope * column(j, number)).abs() <= 1e-14);
+                }
+                let size = centre[number].abs() + apart + own + 2.0 * half;
+                let relative = if is_sure { 1e-9 } else { 1e-14 };
+                prop_assert!(is_near(found.rho[number], rho[number] * slope + SLACK * size, relative));
+            }
+        }
+        prop_assert!(excess.next().is_none());
+    }
+
+    /// A steep function makes rounding larger than the numbers that it was of.
+    #[test]
+    fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
+        let mut found = Bounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
+        found.each(&Each::Multiply(vec![factor]), &Inputs::new(&[]));
+        let line = Each::Multiply(vec![factor]).line(0, centre - own, centre + own);
+        let expected = SLACK * (centre + own) * factor + line.rounding;
+        prop_assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
+        prop_assert!(found.excess.is_empty() && found.columns == [own * factor]);
+    }
+}
+
+/// With many inputs the sum of roundings is more than their number times one of them: γ = n u / (1 - n u).
+#[test]
+fn a_wide_layer_rounds_more_than_in_proportion() {
+    let (wide, u) = (4000_usize, 2.0_f64.powi(-24));
+    let inputs: Vec<Form> =
+        (0..wide).map(|i| Form::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
+    let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
+    let layer = Layer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
+    let mut bounds = Bounds::of_inputs(&inputs);
+    bounds.rho.fill(1e-3);
+    bounds.excess.push((5, 0.125));
+    let found = bounds.through(&layer, &Inputs::new(&inputs));
+    let nu = (wide as f64 + 2.0) * u;
+    let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SLACK;
+    let of = |i: usize| {
+        let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + if i == 5 { 0.125 } else { 0.0 };
+        weights[i].abs() * (1e-3 + gamma * size)
+    };
+    let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
+    assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
+    assert!(found.rho[0] > expected * (1.0 + 0.9 * SLACK));
+    let centre = 3.0 + inputs.iter().zip(&weights).map(|(input, weight)| input.centre() * weight).sum::<f64>();
+    assert!(is_near(found.centre[0], centre, 1e-12));
+    assert_eq!(found.columns.last(), Some(&(weights[5] * 0.125)));
+}
+
+/// Two functions, one after the other: what was off the lines of the first is not forgotten.
+#[test]
+fn functions_may_follow_each_other() {
+    let inputs = inputs([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
+    let known = Inputs::new(&inputs);
+    let mut found = Bounds::of_inputs(&inputs);
+    found.each(&Each::Relu, &known);
+    assert_eq!(found.excess.len(), 2);
+    found.each(&Each::Multiply(vec![2.0; NUMBERS]), &known);
+    assert!(found.excess.is_empty() && found.width() == NUMBERS + 2);
+    let form = found.form(0, &inputs).unwrap();
+    // From [-1, 1]: half of it and 1/4 on either side, twice.
+    assert!(is_near(form.rest(), 0.5, 1e-6) && is_near(form.centre(), 0.5, 1e-6) && form.terms()[0] == 1.0);
+    assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
+    let mut alone = Bounds::of_inputs(&inputs);
+    alone.each(&Each::Relu, &known);
+    let rho = alone.rho[0];
+    let form = alone.form(0, &inputs).unwrap();
+    assert!(form.rest() >= 0.25 + rho && is_near(form.rest(), 0.25 + rho, 1e-11), "{form:?}");
+}
+
+#[test]
+fn a_layer_costs_what_its_products_are() {
+    let layer = Layer { inputs: 3, outputs: 5, weights: vec![0.0; 15], biases: vec![0.0; 5] };
+    let mut some = bounds([1.0, 0.0, 2.0], [[1.0; NUMBERS]; NUMBERS + 2], [0.0; NUMBERS]);
+    assert_eq!(some.operations(&layer), 2 * 5 * (5 + 2) + 1000);
+    some.excess.push((0, 1.0));
+    assert_eq!(some.operations(&layer), 2 * 5 * (6 + 2) + 1000);
+}

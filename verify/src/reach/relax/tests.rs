@@ -1,0 +1,140 @@
+//! Lines against closed forms: as far off the function as they have to be, and no farther.
+
+use super::*;
+use num_rational::BigRational;
+use num_traits::FromPrimitive;
+use proptest::prelude::*;
+
+fn exact(value: f64) -> BigRational {
+    BigRational::from_f64(value).unwrap()
+}
+
+/// The slope of a function of one symbol, and what is off its line: the middle, and the most on either side.
+fn line_of(f: impl Fn(&Form) -> Form, low: f64, high: f64) -> (f64, [f64; 2]) {
+    let x = Form::symbol(0, Interval::new(low, high).unwrap());
+    let line = f(&x);
+    let slope = line.terms()[0] / x.terms()[0];
+    (slope, [line.centre() - slope * x.centre(), line.rest()])
+}
+
+fn is_near(found: f64, expected: f64, within: f64) -> bool {
+    (found - expected).abs() <= within
+}
+
+/// The least and the most of f(x) - s x at the places that are between two ends, and at these.
+fn extremes(f: impl Fn(f64) -> f64, slope: f64, [low, high]: [f64; 2], places: &[f64]) -> [f64; 2] {
+    let inside = places.iter().copied().filter(|&x| low < x && x < high);
+    inside
+        .chain([low, high])
+        .map(|x| f(x) - slope * x)
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], off| [least.min(off), most.max(off)])
+}
+
+/// Numbers of every size.
+fn of_any_size() -> impl Strategy<Value = f64> {
+    (-12.0..3.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(500))]
+
+    /// In rational arithmetic: the excess holds what is off the line at both ends, and hardly more, however unlike the ends are.
+    #[test]
+    fn a_rectifier_exceeds_its_chord_by_what_is_said(below in of_any_size(), high in of_any_size()) {
+        let (slope, excess) = rectifier(-below, high);
+        let (s, m) = (exact(slope), exact(excess));
+        let at_ends = [&s * exact(below), (exact(1.0) - &s) * exact(high)];
+        for end in &at_ends {
+            prop_assert!(*end <= m);
+        }
+        let most = at_ends.into_iter().max().unwrap();
+        prop_assert!(m <= most * exact(1.0 + 1e-14) + exact(1e-290));
+        prop_assert!(is_near(slope, high / (high + below), 1e-15));
+    }
+
+    /// (1/l + 1/h - 2/√(l h)) wide.
+    #[test]
+    fn a_reciprocal_is_as_near_its_chord_as_can_be(low in 1e-3..10.0_f64, more in 0.01..100.0_f64) {
+        let high = low * (1.0 + more);
+        let (slope, [middle, off]) = line_of(reciprocal, low, high);
+        let (at_ends, on_tangent) = (1.0 / low + 1.0 / high, 2.0 / (low * high).sqrt());
+        // The range of a form is wider than it is by 10⁻¹² of its radius, which matters most at the lower end.
+        let near = 1e-12 * (1.0 + more) / low;
+        prop_assert!(is_near(slope, -1.0 / (low * high), near / high));
+        prop_assert!(is_near(middle, 0.5 * (at_ends + on_tangent), near) && is_near(off, 0.5 * (at_ends - on_tangent), near));
+    }
+
+    /// (h - l)²/4 wide where all is positive.
+    #[test]
+    fn a_square_is_as_near_its_chord_as_can_be(low in -3.0..3.0_f64, width in 0.01..4.0_f64) {
+        let high = low + width;
+        prop_assume!(high > 0.01);
+        let (slope, [middle, off]) = line_of(rectified_square, low, high);
+        let square = |x: f64| x.max(0.0).powi(2);
+        let chord = (square(high) - square(low)) / width;
+        let [least, most] = extremes(square, chord, [low, high], &[0.5 * chord]);
+        prop_assert!(is_near(slope, chord, 1e-12 * (1.0 + chord)));
+        prop_assert!(is_near(middle, 0.5 * (least + most), 1e-11) && is_near(off, 0.5 * (most - least), 1e-11), "{least} {most}");
+    }
+
+    /// The chord, unless a level line says more; extremes at the ends, and where the slope is that of the line.
+    #[test]
+    fn a_hyperbolic_tangent_is_as_near_its_chord_as_can_be(
+        low in prop_oneof![-4.0..4.0_f64, -40.0..40.0_f64, Just(0.0)], width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],
+    ) {
+        let high = low + width;
+        let (slope, off) = hyperbolic_tangent_line(low, high);
+        let chord = (high.tanh() - low.tanh()) / width;
+        let turn = (1.0 - chord).sqrt().atanh();
+        let [least, most] = extremes(f64::tanh, chord, [low, high], &[-turn, turn]);
+        let reach = 0.5 * (chord * width + most - least);
+        if reach > 1.0 + 1e-9 {
+            prop_assert!(slope == 0.0 && is_near(off.low(), low.tanh(), 1e-12) && is_near(off.high(), high.tanh(), 1e-12));
+        } else if reach < 1.0 - 1e-9 {
+            prop_assert!(is_near(slope, chord, 1e-12 / width));
+            let near = 1e-11 * (1.0 + low.abs() + high.abs());
+            prop_assert!(is_near(off.low(), least, near) && is_near(off.high(), most, near), "{off:?} {least} {most}");
+        }
+    }
+
+    #[test]
+    fn what_is_exponential_below_0_is_as_near_its_chord_as_can_be(
+        alpha in prop_oneof![Just(0.0), Just(1.0), 0.0..1.0_f64, -2.0..3.0_f64], low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
+    ) {
+        let high = low + width;
+        let (slope, off) = elu_line(alpha, low, high);
+        let value = |x: f64| if x < 0.0 { alpha * x.exp_m1() } else { x };
+        let is_convex = (0.0..=1.0).contains(&alpha);
+        let chord = if is_convex { (value(high) - value(low)) / width } else { 0.0 };
+        let turn = if is_convex { (chord / alpha).ln() } else { 0.0 };
+        let [least, most] = extremes(value, chord, [low, high], &[0.0, turn]);
+        prop_assert!(is_near(slope, chord, 1e-11 / width), "{slope} {chord}");
+        prop_assert!(is_near(off.low(), least, 1e-10) && is_near(off.high(), most, 1e-10), "{off:?} {least} {most}");
+    }
+
+    #[test]
+    fn exponentials_and_tangents_are_next_to_what_they_are(y in 0.0..40.0_f64, z in -30.0..30.0_f64) {
+        let power = exp_minus(y);
+        prop_assert!(power.low() <= (-y).exp() * (1.0 + 1e-15) && (-y).exp() * (1.0 - 1e-15) <= power.high());
+        prop_assert!(power.high() - power.low() <= 1e-11 * power.high());
+        let tangent = tanh(z);
+        prop_assert!(tangent.low() - 1e-15 <= z.tanh() && z.tanh() <= tangent.high() + 1e-15);
+        prop_assert!(tangent.high() - tangent.low() <= 1e-12 && tanh(-z) == -tangent);
+    }
+}
+
+#[test]
+fn far_out_a_function_is_what_it_tends_to() {
+    let one = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
+    for z in [20.5, 400.0, 1e300] {
+        assert_eq!((tanh(z), tanh(-z)), (one, -one));
+    }
+    assert!(tanh(20.0).high() >= 1.0 && tanh(20.0) != one);
+    assert!(exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high());
+    let everything = (0.0, Interval::LINE);
+    assert_eq!(elu_line(0.5, -1.0, f64::INFINITY), everything);
+    assert_eq!(elu_line(0.5, f64::NEG_INFINITY, 1.0), everything);
+    let within_one = (0.0, Interval::around_zero(1.0));
+    assert_eq!(hyperbolic_tangent_line(-1.0, f64::INFINITY), within_one);
+    assert_eq!(hyperbolic_tangent_line(f64::NEG_INFINITY, 1.0), within_one);
+}
