@@ -130,4 +130,11 @@ mod tests {
         let error = read(r#"{"a": [{"b": 1, "c": -1, "b": 1.5}]}"#).unwrap_err();
         assert!(error.starts_with("duplicate key \"b\""), "{error}");
     }
+
+    #[test]
+    fn what_is_no_json_is_said_to_be_none() {
+        let bytes = serde::de::value::BytesDeserializer::<serde::de::value::Error>::new(b"no text");
+        let error = NoNameTwice::deserialize(bytes).map(|_| ()).unwrap_err().to_string();
+        assert_eq!(error, "invalid type: byte array, expected JSON");
+    }
 }

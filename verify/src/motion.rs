@@ -83,3 +83,38 @@ impl Scene {
         after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::claim::{Ego, Leader};
+
+    /// Speed v until the brake takes hold, and v - b t from then on.
+    #[test]
+    fn a_follower_loses_speed_from_its_reaction_on() {
+        let follower = Follower {
+            position_m: Interval::ZERO,
+            speed_mps: Interval::point(12.0),
+            brake_mps2: Interval::point(6.0),
+            ttc_s: 1.0,
+            reaction_steps: 2,
+        };
+        let scene = Scene {
+            step_s: 0.25,
+            steps: 20,
+            leader: Leader {
+                position_m: Interval::ZERO,
+                length_m: 0.0,
+                speed_mps: Interval::ZERO,
+                acceleration_mps2: vec![Held(20, Interval::ZERO)],
+            },
+            egos: Vec::<Ego>::new(),
+            follower: None,
+        };
+        for (fires, k) in (0..=20_u32).flat_map(|fires| (0..=20_u32).map(move |k| (fires, k))) {
+            let expected = (12.0 - 1.5 * f64::from(k.saturating_sub(fires + 2))).max(0.0);
+            let found = scene.follower_mps(&follower, fires, k);
+            assert!((found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12, "{fires} {k}");
+        }
+    }
+}

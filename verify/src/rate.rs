@@ -197,6 +197,7 @@ fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<()
 pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
     match runs {
         0..=ONE_BY_ONE => tail(failures, runs, rate, &[(up(1.0 - rate), 1)]),
+        _ if runs > MOST_RUNS => 1.0,
         _ => tail_by_powers(failures, runs, rate),
     }
 }
@@ -221,7 +222,7 @@ fn up(rounded: f64) -> f64 {
 /// the first is small, so that the product does not vanish.
 fn tail(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
-    if k >= n || n > MOST_RUNS {
+    if k >= n {
         return 1.0;
     }
     let q = up(1.0 - rate);
@@ -275,5 +276,20 @@ mod tests {
         let found = tail_at_most(0, 1 << 29, rate);
         let exact = (-4.0_f64 - 2.0 * rate).exp();
         assert!(found >= exact && found < exact * (1.0 + 4e-7), "{found} {exact}");
+    }
+
+    /// To the last bit what so many factors come to: one for each run, or squares of squares, each of which is at least a half.
+    #[test]
+    fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
+        let times = |factor: f64, count: u32| (0..count).fold(1.0, |product, _| up(product * factor));
+        let squared = |rate: f64, often: u32| (0..often).fold(up(1.0 - rate), |power, _| up(power * power));
+        for rate in (1..=50).map(|n| 1e-5 * f64::from(n)) {
+            assert_eq!(tail_at_most(0, 1000, rate), times(up(1.0 - rate), 1000));
+            assert_eq!(tail_by_powers(0, 1024, rate), times(squared(rate, 10), 1));
+            let each_once = (0..10).rev().fold(1.0, |product, often| up(product * squared(rate, often)));
+            assert_eq!(tail_by_powers(0, 1023, rate), each_once);
+        }
+        // 0.9^4 is 0.66, and its square is less than a half.
+        assert_eq!(tail_by_powers(0, 64, 0.1), times(squared(0.1, 2), 16));
     }
 }

@@ -271,3 +271,65 @@ fn least_over_step(ego: &Ego, begin: Interval, end: Interval, step_s: Interval) 
         half * (phi(begin) + phi(end))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use num_rational::BigRational;
+    use num_traits::{Signed, Zero};
+    use proptest::prelude::*;
+
+    fn ego(max_brake_mps2: f64, max_accel_mps2: f64) -> Ego {
+        Ego { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
+    }
+
+    fn exact(value: f64) -> BigRational {
+        BigRational::from_float(value).unwrap()
+    }
+
+    /// The integral of min(-b q, A q) over a step, by its triangles above and below zero.
+    fn integral(ego: &Ego, [begin, end]: [f64; 2], step_s: f64) -> BigRational {
+        let (q, two) = ([exact(begin), exact(end)], exact(2.0));
+        // Of the part of q of a sign, which is negative or zero at one end or both: the share of the step times half of the rest.
+        let part = |sign: f64| {
+            let [a, b] = [&q[0], &q[1]].map(|q| q * exact(sign));
+            match (a.is_positive(), b.is_positive()) {
+                (true, true) => (&a + &b) / &two,
+                (true, false) => &a * &a / (&two * (&a - &b)),
+                (false, true) => &b * &b / (&two * (&b - &a)),
+                (false, false) => BigRational::zero(),
+            }
+        };
+        -(exact(ego.max_brake_mps2) * part(1.0) + exact(ego.max_accel_mps2) * part(-1.0)) * exact(step_s)
+    }
+
+    proptest! {
+        #[test]
+        fn what_an_ego_can_do_in_a_step_is_integrated_exactly(
+            begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64, h in 0.01..2.0_f64,
+        ) {
+            let ego = ego(brake, accel);
+            let found = least_over_step(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
+            let least = integral(&ego, [begin, end], h);
+            prop_assert!(exact(found.low()) <= least);
+            prop_assert!(least - exact(found.low()) < exact(1e-12 * (1.0 + found.low().abs())), "{found:?}");
+        }
+    }
+
+    /// Whether q has changed its sign is not sure where an end may be zero: then a trapezoid is below what it does.
+    #[test]
+    fn a_q_that_may_be_zero_at_an_end_is_integrated_as_a_trapezoid() {
+        let (brake, accel) = (8.0, 3.0);
+        let of = |low, high| Interval::new(low, high).unwrap();
+        let point = Interval::point;
+        for (begin, end, expected) in [
+            (of(0.0, 2.0), point(-1.0), -2.0 * brake - accel),
+            (point(1.0), of(-2.0, 0.0), -brake - 2.0 * accel),
+            (of(-2.0, 0.0), point(1.0), -brake - 2.0 * accel),
+            (point(-1.0), of(0.0, 2.0), -2.0 * brake - accel),
+        ] {
+            let found = least_over_step(&ego(brake, accel), begin, end, point(0.5)).low();
+            assert!((found - 0.25 * expected).abs() < 1e-12, "{begin:?} {end:?}: {found}");
+        }
+    }
+}

@@ -172,3 +172,101 @@ impl Actor {
         bounds.get(self.answer).copied().ok_or(layers)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reach::{Each, Input, Layer, OBSERVED};
+
+    /// A network of two numbers, of a size up to 2 and 3.
+    fn of_two(steps: Vec<Step>, answer: usize) -> Actor {
+        let input =
+            |low, high| Input { of: [0.0; OBSERVED], constant: 0.0, absent: None, offset: 0.0, scale: 1.0, low, high };
+        Actor {
+            inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
+            steps,
+            answer,
+            scale_mps2: 1.0,
+            offset_mps2: 0.0,
+            action_mps2: [-1.0, 1.0],
+            is_cut: true,
+            empty_gap_m: 80.0,
+            decision_interval_s: 0.1,
+            source: None,
+        }
+    }
+
+    fn layer(weights: [f64; 4], biases: [f64; 2]) -> Step {
+        Step::Linear(Layer { inputs: 2, outputs: 2, weights: weights.to_vec(), biases: biases.to_vec() })
+    }
+
+    #[test]
+    fn the_largest_answer_is_a_sum_of_sizes() {
+        let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
+        for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
+            assert_eq!(of_two(vec![plain.clone()], answer).largest_answer(), Ok(expected));
+            assert_eq!(of_two(vec![plain.clone(), Step::Each(Each::Tanh)], answer).largest_answer(), Ok(1.0));
+        }
+        assert_eq!([0, 1].map(|answer| of_two(vec![], answer).largest_answer()), [Ok(2.0), Ok(3.0)]);
+        assert_eq!(of_two(vec![plain], 2).largest_answer(), Err(1), "there is none");
+    }
+
+    /// Half of the range of single precision, and no more; the layer that may leave it is named from 0.
+    #[test]
+    fn the_layer_that_may_leave_single_precision_is_named() {
+        let half = 0.5 * f64::from(f32::MAX);
+        let calm = layer([1.0, 0.0, 0.0, 1.0], [0.0, 0.0]);
+        let wild = |number: f64| layer([0.25 * number, 0.0, 0.0, 0.0], [0.5 * number, 0.0]);
+        assert_eq!(of_two(vec![wild(half)], 0).largest_answer(), Ok(half));
+        assert_eq!(of_two(vec![wild(half.next_up())], 0).largest_answer(), Err(0));
+        assert_eq!(of_two(vec![calm.clone(), wild(half)], 0).largest_answer(), Ok(half));
+        assert_eq!(of_two(vec![calm.clone(), wild(half.next_up())], 0).largest_answer(), Err(1));
+        assert_eq!(of_two(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).largest_answer(), Err(2));
+        let multiplied = Step::Each(Each::Multiply(vec![half, 0.0]));
+        assert_eq!(of_two(vec![calm.clone(), calm, multiplied], 0).largest_answer(), Err(1), "behind it");
+        let mut far = of_two(vec![], 0);
+        far.inputs[1].low = -half;
+        assert_eq!(far.largest_answer(), Ok(2.0));
+        far.inputs[1].low = -half.next_up();
+        assert_eq!(far.largest_answer(), Err(0));
+    }
+
+    /// Numbers of single precision in the order that was asked for, all finite, and each but once.
+    #[test]
+    fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
+        let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
+            let data: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+            let entry = Entry { dtype: dtype.to_owned(), shape: shape.to_vec(), data_offsets: place };
+            let mut file = Container { tensors: [("w".to_owned(), entry)].into(), data: &data };
+            let read = file.tensor("w", &[2, 3]);
+            assert_eq!(file.tensor("w", &[2, 3]), Err("has no tensor w".to_owned()), "a second time");
+            read
+        };
+        let (numbers, all) = ([1.0, -2.0, 0.5, 3.0, 0.25, f32::MAX], [0, 24]);
+        assert_eq!(of("F32", &[2, 3], all, numbers), Ok(numbers.map(f64::from).to_vec()));
+        for (dtype, shape, place) in [
+            ("I32", &[2, 3][..], all),
+            ("f32", &[2, 3], all),
+            ("F32", &[3, 2], all),
+            ("F32", &[6], all),
+            ("F32", &[2, 3], [0, 20]),
+            ("F32", &[2, 3], [4, 28]),
+            ("F32", &[2, 3], [0, 0]),
+        ] {
+            let wrong = Err("tensor w is not what it should be".to_owned());
+            assert_eq!(of(dtype, shape, place, numbers), wrong, "{dtype} {shape:?} {place:?}");
+        }
+        for number in [f32::NAN, f32::INFINITY] {
+            let endless = of("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
+            assert_eq!(endless, Err("tensor w is not finite".to_owned()));
+        }
+    }
+
+    #[test]
+    fn what_lists_no_tensors_is_told_what_was_expected() {
+        let file = [&2_u64.to_le_bytes()[..], b"[]"].concat();
+        let error = Actor::from_bytes(&file).unwrap_err();
+        let expected = "header: invalid type: sequence, expected tensors by name, and `__metadata__`";
+        assert!(error.starts_with(expected), "{error}");
+    }
+}

@@ -108,3 +108,84 @@ pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String
     let decision_interval_s = header.decision_interval_s;
     Ok(Own { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s }.into())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> Header {
+        let text = serde_json::json!({
+            "version": 1, "crumple": "0.1.0", "hidden": [64, 64],
+            "observation": {"offset": vec![0; OBSERVED], "scale": vec![1; OBSERVED], "limit": 1.5, "empty_gap_m": 80},
+            "action": {"low_mps2": -7.5, "high_mps2": 3}, "decision_interval_s": 0.1, "estimator": "truth", "seed": 1,
+            "episode": 2, "training": {}
+        });
+        serde_json::from_value(text).unwrap()
+    }
+
+    fn checked(change: impl FnOnce(&mut Header)) -> Result<(), String> {
+        let mut header = header();
+        change(&mut header);
+        header.check()
+    }
+
+    #[test]
+    fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
+        for hidden in [vec![], vec![1; MOST_LAYERS], vec![WIDEST_LAYER, WIDEST_LAYER], vec![1, MOST_NUMBERS / 2]] {
+            assert_eq!(checked(|header| header.hidden.clone_from(&hidden)), Ok(()), "{hidden:?}");
+        }
+        for hidden in [
+            vec![1; MOST_LAYERS + 1],
+            vec![1; MOST_LAYERS + 2],
+            vec![WIDEST_LAYER, WIDEST_LAYER, 1],
+            vec![WIDEST_LAYER, WIDEST_LAYER, 2],
+            vec![WIDEST_LAYER + 1],
+            vec![64, 0],
+            vec![usize::MAX, usize::MAX],
+        ] {
+            let refused = Err("describes too large a network".to_owned());
+            assert_eq!(checked(|header| header.hidden.clone_from(&hidden)), refused, "{hidden:?}");
+        }
+    }
+
+    #[test]
+    fn scales_are_positive_and_all_numbers_finite() {
+        let refused = Err("has a scaling that makes no sense".to_owned());
+        for wrong in [0.0, -1.0, f64::INFINITY, f64::NAN] {
+            assert_eq!(checked(|header| header.observation.scale[7] = wrong), refused, "scale {wrong}");
+            assert_eq!(checked(|header| header.observation.limit = wrong), refused, "limit {wrong}");
+            assert_eq!(checked(|header| header.observation.empty_gap_m = wrong), refused, "empty gap {wrong}");
+            assert_eq!(checked(|header| header.decision_interval_s = wrong), refused, "interval {wrong}");
+        }
+        for wrong in [f64::NEG_INFINITY, f64::NAN] {
+            assert_eq!(checked(|header| header.observation.offset[0] = wrong), refused, "offset {wrong}");
+        }
+        assert_eq!(checked(|header| header.observation.offset = [-1e300; OBSERVED]), Ok(()));
+        assert_eq!(checked(|header| header.observation.scale = [f64::MIN_POSITIVE; OBSERVED]), Ok(()));
+    }
+
+    /// Half of their difference and half of their sum are what the answer is stretched with.
+    #[test]
+    fn bounds_of_an_action_have_a_difference_and_a_sum() {
+        let with = |low, high| {
+            let judged = checked(|header| (header.action.low_mps2, header.action.high_mps2) = (low, high));
+            judged
+                .inspect_err(|error| assert_eq!(error, "has bounds of its action that are not finite and in order"))
+                .is_ok()
+        };
+        for (low, high) in [(-7.5, 3.0), (0.0, f64::MIN_POSITIVE), (-1.0, 0.0), (-1e200, 1e200), (1e200, 1e201)] {
+            assert!(with(low, high), "{low} {high}");
+        }
+        for (low, high) in [
+            (3.0, 3.0),
+            (3.0, -7.5),
+            (-1.5e308, 1.5e308),
+            (1e308, 1.7e308),
+            (-1.7e308, -1e308),
+            (0.0, f64::INFINITY),
+            (f64::NAN, 1.0),
+        ] {
+            assert!(!with(low, high), "{low} {high}");
+        }
+    }
+}

@@ -11,8 +11,14 @@ use crumple_verify::cruise::{Unshown, bounds};
 use crumple_verify::reach::actor::rectified_between;
 use crumple_verify::reach::{Actor, Each, Format, Input, Layer, Source, Step};
 
+use crumple_verify::{
+    Accepted, Certificate, Cruise, Provenance, Rejection, Statement, WorkLimit, check_with, check_within,
+};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
 use crate::support::closed_loop::{Numbers, answers};
-use crate::support::networks::any_steps;
+use crate::support::networks::{any_steps, file_of};
 
 const DRAG: f64 = 1e-4;
 
@@ -177,4 +183,108 @@ fn other_problems_are_refused() {
         assert_eq!(changed(change), Err(Unshown::OtherInputs));
     }
     assert!(changed(|_| ()).is_ok());
+}
+
+/// A calm constant, as a file: whatever it sees it brakes at 3 m/s².
+fn braking() -> Vec<u8> {
+    let input = |of: &str, what: Value| json!({ (of): what, "offset": 0.0, "scale": 1.0, "low": -1e6, "high": 1e6 });
+    let text = json!({
+        "version": 1, "source": { "format": "onnx", "sha256": "0".repeat(64) },
+        "inputs": [
+            input("constant", json!(30.0)), input("constant", json!(1.4)), input("quantity", json!("speed_mps")),
+            input("quantity", json!("gap_ahead_m")), input("quantity", json!("relative_speed_ahead_mps")),
+        ],
+        "steps": [{ "linear": 1 }],
+        "output": { "answer": 0, "scale_mps2": 1.0, "offset_mps2": 0.0, "low_mps2": -1e6, "high_mps2": 1e6 },
+        "empty_gap_m": 80.0, "decision_interval_s": 0.1,
+    });
+    let weight = ("steps.0.weight".to_owned(), vec![5, 1], &[0.0; 5][..]);
+    file_of(&text, &[weight, ("steps.0.bias".to_owned(), vec![1], &[-3.0])])
+}
+
+fn certified(file: &[u8], change: impl FnOnce(&mut Cruise)) -> Certificate {
+    let digest: String = Sha256::digest(file).iter().map(|byte| format!("{byte:02x}")).collect();
+    let found = bounds(&Actor::from_bytes(file).unwrap(), 3).unwrap();
+    let mut claim = Cruise {
+        policy_file: format!("network-{}.safetensors", &digest[..12]),
+        policy_sha256: digest,
+        source: Source { format: Format::Onnx, sha256: "0".repeat(64) },
+        cells: 3,
+        margin_m_at_least: found.margin_m,
+        x_ego_width_m_at_most: found.x_ego_width_m(),
+    };
+    change(&mut claim);
+    let statement = Statement::AdaptiveCruise(claim);
+    Certificate { version: 2, provenance: Provenance::default(), assumptions: statement.assumptions(), statement }
+}
+
+#[test]
+fn a_certificate_states_what_is_bounded_and_no_more() {
+    let file = braking();
+    let found = bounds(&Actor::from_bytes(&file).unwrap(), 3).unwrap();
+    let (margin_m, x_ego_width_m) = (found.margin_m, found.x_ego_width_m());
+    let accepted = Ok(Accepted::Cruise { margin_m, x_ego_width_m });
+    let checked = |change: fn(&mut Cruise)| check_with(&certified(&file, change), Some(&file));
+    assert_eq!(checked(|_| ()), accepted);
+    assert_eq!(checked(|claim| claim.margin_m_at_least = f64::NEG_INFINITY), accepted);
+    assert_eq!(checked(|claim| claim.x_ego_width_m_at_most = 1e9), accepted);
+    type Change = fn(&mut Cruise);
+    let more: [(Change, &str); 7] = [
+        (
+            |claim| claim.margin_m_at_least = claim.margin_m_at_least.next_up(),
+            "`margin_m_at_least` is more than is proved",
+        ),
+        (|claim| claim.margin_m_at_least = f64::NAN, "`margin_m_at_least` is more than is proved"),
+        (
+            |claim| claim.x_ego_width_m_at_most = claim.x_ego_width_m_at_most.next_down(),
+            "`x_ego_width_m_at_most` is less than is proved",
+        ),
+        (|claim| claim.x_ego_width_m_at_most = f64::NAN, "`x_ego_width_m_at_most` is less than is proved"),
+        (|claim| claim.cells = 0, "`cells` must be 1 to 10 000"),
+        (|claim| claim.cells = 10_001, "`cells` must be 1 to 10 000"),
+        (|claim| claim.source.sha256 = "1".repeat(64), "the policy file was read from another file than `source`"),
+    ];
+    for (change, said) in more {
+        assert_eq!(checked(change).unwrap_err().to_string(), said);
+    }
+    // As many cells as there may be: too much work for this limit, and nothing wrong with them.
+    let limit = WorkLimit::operations(1_000_000);
+    let most = certified(&file, |claim| claim.cells = 10_000);
+    assert_eq!(check_within(&most, Some(&file), limit), Err(Rejection::TooMuchWork { limit }));
+}
+
+#[test]
+fn the_program_takes_the_network_and_the_limit_it_is_told() {
+    let (file, folder) = (braking(), std::env::temp_dir().join(format!("crumple-verify-told-{}", std::process::id())));
+    std::fs::create_dir_all(&folder).unwrap();
+    let certificate = certified(&file, |_| ());
+    let (path, network) = (folder.join("certificate.json"), folder.join("elsewhere"));
+    std::fs::write(&path, certificate.canonical()).unwrap();
+    std::fs::write(&network, &file).unwrap();
+    let run = |options: &[&str]| {
+        let program =
+            std::process::Command::new(env!("CARGO_BIN_EXE_crumple-verify")).args(options).arg(&path).output();
+        let output = program.unwrap();
+        (output.status.code().unwrap(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
+    };
+    let elsewhere = network.to_str().unwrap();
+    let (code, text) = run(&[]);
+    assert!(code == 1 && text.contains("rejected: the policy file is not there"), "{text}");
+    for options in [&["--policy", elsewhere][..], &["--work-limit", "1", "--policy", elsewhere]] {
+        let (code, text) = run(options);
+        assert!(code == 0 && text.contains("accepted: adaptive cruise"), "{text}");
+        let digest = certificate.digest();
+        assert!(text.contains(&format!("version 2, SHA-256 of its canonical form {digest}\n")), "{text}");
+        assert!(text.contains("  about the benchmark of adaptive cruise control"), "{text}");
+        assert!(text.ends_with("as crumple read it, with the mapping stated\n"), "{text}");
+    }
+    let (code, text) = run(&["--policy", elsewhere, "--work-limit", "0"]);
+    assert!(code == 1 && text.contains("rejected: checking it takes more than 0 operations"), "{text}");
+    for value in ["many", "-1", "1.5"] {
+        let (code, text) = run(&["--work-limit", value]);
+        assert!(code == 2 && text.starts_with("usage: crumple-verify"), "{text}");
+    }
+    std::fs::write(folder.join(certificate.policy().unwrap().0), &file).unwrap();
+    assert_eq!(run(&[]).0, 0, "beside it");
+    std::fs::remove_dir_all(folder).unwrap();
 }

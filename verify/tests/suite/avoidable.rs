@@ -224,3 +224,94 @@ proptest! {
         }
     }
 }
+
+/// Ten steps at the same speeds, nobody on the egos' side in a hurry: what holds afterwards is for the follower to spoil.
+fn followed(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, Afterwards) {
+    let point = Interval::point;
+    let scene = Scene {
+        step_s: 0.25,
+        steps: 8,
+        leader: Leader {
+            position_m: point(102.0),
+            length_m: 2.0,
+            speed_mps: point(10.0),
+            acceleration_mps2: vec![Held(8, point(0.0))],
+        },
+        egos: vec![Ego {
+            position_m: point(0.0),
+            length_m: 2.0,
+            speed_mps: point(10.0),
+            max_brake_mps2: 5.0,
+            max_accel_mps2: 0.0,
+        }],
+        follower: Some(Follower {
+            position_m: point(-2.0 - gap_m),
+            speed_mps: point(mps),
+            brake_mps2: point(6.0),
+            ttc_s,
+            reaction_steps,
+        }),
+    };
+    match check(&certificate(&scene, vec![vec![Held(8, 0.0)]])) {
+        Ok(Accepted::Avoidable { smallest_gap_m, afterwards, .. }) => (smallest_gap_m, afterwards),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A brake that has fired and whose reaction is over will stop it; any other brake may not come.
+#[test]
+fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
+    use Afterwards::{IfTheLeaderDoesNotBrake, NotShown, WhateverTheLeaderDoes};
+    let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| followed(gap_m, mps, ttc_s, reaction_steps).1;
+    // It never fires: slower than all it stays behind as long as nobody brakes, and faster, or as fast but for rounding, it may not.
+    for (mps, expected) in [(9.0, IfTheLeaderDoesNotBrake), (10.0, NotShown), (11.0, NotShown)] {
+        for reaction_steps in [0, 3, u32::MAX] {
+            assert_eq!(followed_afterwards(1000.0, mps, 0.0, reaction_steps), expected, "{mps} {reaction_steps}");
+        }
+    }
+    // It fires at once; at 12 m/s it stops after 12 m, from 4 m nearer than at the start if it coasts throughout.
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 8), WhateverTheLeaderDoes);
+    assert_eq!(followed_afterwards(15.99, 12.0, 100.0, 8), IfTheLeaderDoesNotBrake);
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, 9), NotShown);
+    assert_eq!(followed_afterwards(16.01, 12.0, 100.0, u32::MAX), NotShown);
+    // It has braked for the last two steps: 0.75 m less were covered and 9 m/s are left, which take 6.75 m.
+    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.76, 12.0, 100.0, 6), WhateverTheLeaderDoes);
+    assert_eq!(followed_afterwards(4.0 - 0.75 + 6.74, 12.0, 100.0, 6), IfTheLeaderDoesNotBrake);
+}
+
+/// Whenever in a step the follower began to brake, a gap has been smaller by b h²/8 than at both ends.
+#[test]
+fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
+    for (gap_m, mps) in [(5.0, 9.0), (5.0, 10.0), (1.0, 9.5)] {
+        let (smallest_gap_m, _) = followed(gap_m, mps, 0.0, 0);
+        let expected = gap_m - 6.0 * 0.0625 / 8.0;
+        assert!(smallest_gap_m <= expected && expected - smallest_gap_m < 1e-12, "{mps}: {smallest_gap_m} {expected}");
+    }
+}
+
+/// At the least numbers there are a bound may round to zero: that is contact.
+#[test]
+fn a_gap_that_is_proved_is_more_than_nothing() {
+    let (mut touching, mut clear) = (0, 0);
+    for ulps in 0..60 {
+        let (mut scene, _) = calm();
+        (scene.steps, scene.follower) = (1, None);
+        scene.leader.position_m = Interval::point(f64::from_bits(ulps));
+        (scene.leader.length_m, scene.leader.speed_mps) = (0.0, Interval::ZERO);
+        scene.leader.acceleration_mps2 = vec![Held(1, Interval::ZERO)];
+        scene.egos.truncate(1);
+        (scene.egos[0].position_m, scene.egos[0].speed_mps) = (Interval::ZERO, Interval::ZERO);
+        match check(&certificate(&scene, vec![vec![Held(1, 0.0)]])) {
+            Ok(Accepted::Avoidable { smallest_gap_m, .. }) => {
+                clear += 1;
+                assert!(smallest_gap_m > 0.0 && smallest_gap_m <= f64::from_bits(ulps), "{ulps}: {smallest_gap_m}");
+            }
+            Err(Rejection::MayTouch { front_vehicle: 0, step: 0, gap_m }) => {
+                touching += 1;
+                assert!(gap_m <= 0.0, "{ulps}: {gap_m}");
+            }
+            other => panic!("{ulps}: {other:?}"),
+        }
+    }
+    assert!(touching > 0 && clear > 0, "{touching} {clear}");
+}

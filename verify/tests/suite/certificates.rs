@@ -296,3 +296,89 @@ fn a_long_certificate_is_quick_to_check() {
     println!("checked in {least:?}");
     assert!(least.as_millis() < 250, "{least:?}");
 }
+
+#[test]
+fn a_file_is_as_long_as_is_allowed_and_no_longer() {
+    let most = crumple_verify::certificate::MOST_BYTES;
+    let (file, mut text) = (avoidable_file().to_string(), " ".repeat(most + 1));
+    text.replace_range(..file.len(), &file);
+    assert!(Certificate::from_json(&text[..most]).is_ok());
+    assert!(matches!(Certificate::from_json(&text), Err(ParseError::TooLong)));
+}
+
+#[test]
+fn what_is_taken_for_granted_is_said_in_words() {
+    use Assumption::*;
+    for (assumption, said) in [
+        (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
+        (ScriptedLeader, "the leader moves as scripted and reacts to nobody"),
+        (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
+        (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
+        (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
+        (EgoOnProfile, "the vehicles under test follow the stated profile at once"),
+        (LeaderWithinLimit, "the vehicle ahead never brakes harder than stated"),
+        (EgoCanBrake, "from every decision on, the own vehicle can brake at the stated rate"),
+        (PolicyDrives, "the vehicle under test does at once what the stated policy asks for"),
+        (ObservedWithin, "what the policy observes is within the stated errors of the truth"),
+        (TanhWithin, "tanh in single precision is within 2^-22 of the true one"),
+        (ExpWithin, "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones"),
+        (NetworkAsRead, "the network is the one of its source file, as crumple read it, with the mapping stated"),
+        (RegisteredDraws, "runs are independent draws, and were registered before the first of them"),
+        (NoiseOfSeed, "noise is that of the scenario's seed"),
+    ] {
+        assert_eq!(assumption.to_string(), said);
+    }
+}
+
+#[test]
+fn results_are_said_in_words() {
+    let reach = |verified_share, has_follower, leader_brakes_at_most_mps2| {
+        let (falsified_share, smallest_gap_m, horizon_s) = (0.001_99, 0.5, 4.0);
+        Accepted::Reach {
+            verified_share,
+            falsified_share,
+            smallest_gap_m,
+            horizon_s,
+            has_follower,
+            leader_brakes_at_most_mps2,
+        }
+        .to_string()
+    };
+    let nothing = "reach: nothing is shown of any part of the box; 0.19 % of its volume is in cells with a start that ends in contact";
+    assert_eq!(reach(0.0, true, None), nothing);
+    assert_eq!(
+        reach(0.999_99, true, None),
+        "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 % of it is in \
+         cells with a start that ends in contact"
+    );
+    assert_eq!(
+        reach(1e-9, false, Some(7.5)),
+        "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at up to 7.5 m/s², \
+         with nobody behind; 0.19 % of it is in cells with a start that ends in contact"
+    );
+    let avoidable = |afterwards| Accepted::Avoidable { smallest_gap_m: 0.25, horizon_s: 2.0, afterwards }.to_string();
+    for (afterwards, name, said) in [
+        (
+            Afterwards::WhateverTheLeaderDoes,
+            "whatever-the-leader-does",
+            "and nobody need touch afterwards, whatever the leader does",
+        ),
+        (
+            Afterwards::IfTheLeaderDoesNotBrake,
+            "if-the-leader-does-not-brake",
+            "and nobody need touch afterwards, if the leader does not brake any more",
+        ),
+        (Afterwards::NotShown, "not-shown", "nothing is shown of what comes afterwards"),
+    ] {
+        assert_eq!(afterwards.name(), name);
+        let all = format!("avoidable: on the stated profile no gap is ever smaller than 0.25 m for 2 s; {said}");
+        assert_eq!(avoidable(afterwards), all);
+    }
+    let gap_bound = Accepted::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
+    assert_eq!(gap_bound, "gap bound: whatever is done, some gap gets as small as 1.5 m within 3 s");
+    let cruise = Accepted::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
+    assert_eq!(
+        cruise,
+        "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than 0.75 m for 5 s; all x_ego at the end lie within 3.5 m"
+    );
+}

@@ -163,6 +163,8 @@ fn a_registration_and_its_provenance_say_the_same() {
         ("seed", "3.5"),
         ("seed", "03"),
         ("horizon_s", "-15"),
+        ("horizon_s", "0"),
+        ("horizon_s", "inf"),
         ("against", "policy"),
         ("note", "at most 0.0001"),
     ] {
@@ -243,4 +245,242 @@ fn how_far_a_claim_reaches_is_said() {
     }
     assert!(check(&rate()).unwrap().to_string().ends_with("if its counts are right"));
     assert!(rate().caveat().unwrap().contains("the maker's word"));
+}
+
+/// 250 draws in blocks of 100, that tell two controllers apart.
+fn comparison() -> Certificate {
+    let mut certificate = rate();
+    let Statement::Rate(Rate { mut registration, .. }) = certificate.statement else { panic!("a rate") };
+    for (key, value) in [("against", "policy"), ("against_sha256", &sha256("policy"))] {
+        registration.configuration.insert(key.to_owned(), value.to_owned());
+    }
+    certificate.statement = Statement::Comparison(Comparison {
+        registration_sha256: registration.digest(),
+        registration,
+        only_first_failed: 3,
+        only_second_failed: 60,
+        blocks: vec![([1, 40], sha256("0")), ([0, 20], sha256("1")), ([2, 0], sha256("2"))],
+    });
+    certificate
+}
+
+fn kernel() -> Certificate {
+    let statement = json!({"kernel": {
+        "ego_brake_mps2": "6", "leader_brake_mps2": "6", "step_s": "1/100", "margin_m": "1/1000000",
+        "stopping_own_squared": "1/12", "stopping_ahead_squared": "-1/12"
+    }});
+    let statement: Statement = serde_json::from_value(statement).unwrap();
+    let provenance = Provenance { crumple: "0.1.0".to_owned(), ..Provenance::default() };
+    Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
+}
+
+fn cruise() -> Certificate {
+    let digest = sha256("network");
+    let statement = json!({"adaptive-cruise": {
+        "policy_file": format!("network-{}.safetensors", &digest[..12]), "policy_sha256": digest,
+        "source": {"format": "onnx", "sha256": sha256("onnx")}, "cells": 4,
+        "margin_m_at_least": 1, "x_ego_width_m_at_most": 3
+    }});
+    let statement: Statement = serde_json::from_value(statement).unwrap();
+    Certificate { assumptions: statement.assumptions(), statement, ..kernel() }
+}
+
+fn reach() -> Certificate {
+    let digest = sha256("policy");
+    let statement = json!({"reach": {
+        "policy_file": format!("policy-{}.safetensors", &digest[..12]), "policy_sha256": digest,
+        "step_s": 0.01, "steps": 500, "follower_ttc_s": 1.4, "observation_error": [1e-9, 0, 0, 0, 0, 0, 0, 0],
+        "ranges": {
+            "gap_ahead_m": {"low": 15, "high": 17}, "gap_behind_m": 16, "leader_speed_mps": 25,
+            "ego_speed_mps": 25, "follower_speed_mps": 25, "leader_brake_mps2": 3, "follower_brake_mps2": 6,
+            "onset_steps": {"low": 50, "high": 150}
+        },
+        "partition": ["verified"], "verified_share_at_least": 0, "falsified_share_at_least": 0, "min_gap_m_at_least": 0
+    }});
+    let statement: Statement = serde_json::from_value(statement).unwrap();
+    let provenance = Provenance { box_text: Some("steps = 500".to_owned()), ..unavoidable().provenance };
+    Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
+}
+
+/// What is said of a certificate that was changed; its registration, if it has one, is registered anew.
+fn said_of(mut certificate: Certificate, change: impl FnOnce(&mut Certificate)) -> String {
+    change(&mut certificate);
+    match &mut certificate.statement {
+        Statement::Rate(claim) => claim.registration_sha256 = claim.registration.digest(),
+        Statement::Comparison(claim) => claim.registration_sha256 = claim.registration.digest(),
+        _ => {}
+    }
+    check(&certificate).map_or_else(|rejection| rejection.to_string(), |accepted| accepted.to_string())
+}
+
+#[test]
+fn blocks_hold_as_many_failures_as_runs_and_no_more() {
+    let of_rate = |failures: [u64; 3]| {
+        said_of(rate(), |certificate| {
+            let Statement::Rate(claim) = &mut certificate.statement else { panic!("a rate") };
+            claim.blocks.iter_mut().zip(failures).for_each(|(block, failures)| block.0 = failures);
+            (claim.failures, claim.rate_at_most) = (failures.iter().sum(), 0.99);
+        })
+    };
+    for failures in [[100, 0, 50], [0, 100, 50], [100, 100, 0]] {
+        assert!(of_rate(failures).starts_with("rate: at most 0.99"), "{}", of_rate(failures));
+    }
+    assert_eq!(of_rate([0, 101, 0]), "`blocks[1]` counts more runs than it has");
+    assert_eq!(of_rate([0, 0, 51]), "`blocks[2]` counts more runs than it has");
+    for block_runs in [None, Some(0)] {
+        let said = said_of(rate(), |certificate| {
+            let Statement::Rate(claim) = &mut certificate.statement else { panic!("a rate") };
+            claim.registration.block_runs = block_runs;
+        });
+        assert_eq!(said, "`registration.block_runs` must be positive");
+    }
+    let of_two = |change: fn(&mut Comparison)| {
+        said_of(comparison(), |certificate| {
+            let Statement::Comparison(claim) = &mut certificate.statement else { panic!("a comparison") };
+            change(claim);
+        })
+    };
+    assert!(of_two(|_| ()).starts_with("comparison: the first controller fails less often"), "{}", of_two(|_| ()));
+    assert!(of_two(|claim| (claim.blocks[1].0, claim.only_second_failed) = ([0, 100], 140)).starts_with("comparison"));
+    assert_eq!(of_two(|claim| claim.blocks[1].0 = [1, 100]), "`blocks[1]` counts more runs than it has");
+    for change in [
+        |claim: &mut Comparison| claim.blocks[0].0 = [0, 41],
+        |claim: &mut Comparison| claim.only_first_failed = 2,
+        |claim: &mut Comparison| claim.only_second_failed = 61,
+    ] {
+        assert_eq!(of_two(change), "`blocks` do not add up to what is claimed");
+    }
+    assert_eq!(of_two(|claim| drop(claim.blocks.pop())), "`blocks` must cover all runs");
+    let missing = of_two(|claim| drop(claim.registration.configuration.remove("against")));
+    assert_eq!(missing, "`registration.configuration.against` is missing");
+}
+
+#[test]
+fn what_is_about_no_scenario_names_none() {
+    let bound = |certificate: Certificate, said: &str, why: &str| {
+        assert!(said_of(certificate.clone(), |_| ()).starts_with(said), "{}", said_of(certificate, |_| ()));
+        type Change = fn(&mut Provenance);
+        let changes: [(&str, Change); 4] = [
+            ("scenario", |provenance| provenance.scenario = "paper-1".to_owned()),
+            ("scenario_sha256", |provenance| provenance.scenario_sha256 = sha256("")),
+            ("scenario_text", |provenance| provenance.scenario_text = Some(String::new())),
+            ("box_text", |provenance| provenance.box_text = Some(String::new())),
+        ];
+        for (field, change) in changes {
+            let said = said_of(certificate.clone(), |certificate| change(&mut certificate.provenance));
+            assert_eq!(said, format!("`provenance.{field}` must be absent: {why}"));
+        }
+    };
+    bound(kernel(), "kernel: full braking keeps", "a kernel is about no one scenario");
+    bound(cruise(), "the policy file is not there", "the benchmark is its own scenario");
+}
+
+#[test]
+fn a_network_is_named_after_its_digest_and_where_it_is_from() {
+    fn named(certificate: Certificate, file: Option<&str>, digest: Option<&str>) -> String {
+        said_of(certificate, |certificate| {
+            let (policy_file, policy_sha256) = match &mut certificate.statement {
+                Statement::Reach(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
+                Statement::AdaptiveCruise(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
+                _ => panic!("a statement about no network"),
+            };
+            *policy_file = file.map_or_else(|| policy_file.clone(), str::to_owned);
+            *policy_sha256 = digest.map_or_else(|| policy_sha256.clone(), str::to_owned);
+        })
+    }
+    for (certificate, kind, other) in [(reach(), "policy", "network"), (cruise(), "network", "policy")] {
+        let start = &sha256(kind)[..12];
+        let named = |file: Option<&str>, digest: Option<&str>| named(certificate.clone(), file, digest);
+        assert_eq!(named(None, None), "the policy file is not there", "all else is as it should be");
+        let wrong = "`policy_file` is not named after `policy_sha256`";
+        for file in [format!("{other}-{start}.safetensors"), format!("{kind}.safetensors"), String::new()] {
+            assert_eq!(named(Some(&file), None), wrong, "{file}");
+        }
+        assert_eq!(named(None, Some(&sha256("another"))), wrong);
+        assert_eq!(named(Some(&format!("{kind}-.safetensors")), Some("abc")), wrong, "no SHA-256");
+        assert_eq!(named(None, Some(start)), wrong, "not all of it");
+    }
+    let without = said_of(reach(), |certificate| certificate.provenance.box_text = None);
+    assert_eq!(without, "`provenance.box_text` is missing");
+    let nameless = said_of(reach(), |certificate| certificate.provenance.scenario = String::new());
+    assert_eq!(nameless, "`provenance.scenario` is missing");
+}
+
+#[test]
+fn what_a_claim_is_about_follows_from_its_kind_and_its_texts() {
+    let about = |certificate: &Certificate| certificate.scope().about;
+    let digest = unavoidable().provenance.scenario_sha256;
+    assert_eq!(about(&unavoidable()), format!("scenario `by hand`, SHA-256 {digest}"));
+    assert_eq!(about(&reach()), format!("a box around scenario `by hand`, SHA-256 {digest}"));
+    assert_eq!(about(&kernel()), "any two vehicles with these limits");
+    let space = sha256("name = \"paper\"\n");
+    assert!([rate(), comparison()].iter().all(|of| about(of) == format!("space `paper`, SHA-256 {space}")));
+    let benchmark = "the benchmark of adaptive cruise control of ARCH-COMP AINNCS";
+    for version in [1, 2] {
+        assert_eq!(about(&Certificate { version, ..cruise() }), benchmark, "version {version}");
+    }
+    let old = about(&Certificate { version: 1, ..kernel() });
+    assert_eq!(old, "`` by its own word: version 1 binds a statement to nothing");
+}
+
+#[test]
+fn how_long_a_claim_holds_is_said_in_seconds() {
+    let said = |certificate: &Certificate| (certificate.scope().horizon_s, certificate.scope().to_string());
+    let (horizon_s, text) = said(&reach());
+    assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
+    assert!(text.contains("leader: 15 to 17 m ahead, 25 m/s, brakes at 3 m/s² from 0.5 to 1.5 s on"), "{text}");
+    let (horizon_s, text) = said(&cruise());
+    assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
+    let (horizon_s, text) = said(&kernel());
+    assert!(horizon_s == Some(f64::INFINITY) && text.contains("for ever"), "{text}");
+    // A profile may say what holds after it.
+    let Statement::Unavoidable(Unavoidable { mut scene, .. }) = unavoidable().statement else { panic!() };
+    scene.steps = 25;
+    let avoidable = Avoidable { scene, witness: Vec::new(), min_gap_m_at_least: None };
+    let (horizon_s, text) = said(&Certificate { statement: Statement::Avoidable(avoidable), ..unavoidable() });
+    assert_eq!(horizon_s, Some(2.5));
+    assert!(text.contains("for 2.5 s from the start\n"), "{text}");
+}
+
+/// A name in a file is what its kind is called in words and results, too.
+#[test]
+fn statements_are_called_what_they_are_called_in_files() {
+    let Statement::Unavoidable(Unavoidable { scene, branches }) = unavoidable().statement else { panic!() };
+    let avoidable = Avoidable { scene: scene.clone(), witness: Vec::new(), min_gap_m_at_least: None };
+    let gap_bound = GapBound { scene: scene.clone(), gap_m: 1.0, branches };
+    let of_scenes = [Statement::Avoidable(avoidable), unavoidable().statement, Statement::GapBound(gap_bound)];
+    let of_none = [kernel(), rate(), comparison(), reach(), cruise()].map(|certificate| certificate.statement);
+    for statement in of_scenes.iter().chain(&of_none) {
+        let file = serde_json::to_value(statement).unwrap();
+        let names: Vec<&String> = file.as_object().unwrap().keys().collect();
+        assert_eq!(names, [statement.name()]);
+    }
+    assert!(of_scenes.iter().all(|statement| statement.scene() == Some(&scene)));
+    assert!(of_none.iter().all(|statement| statement.scene().is_none()));
+}
+
+#[test]
+fn a_policy_is_looked_for_beside_its_certificate() {
+    let network = cruise();
+    let digest = sha256("network");
+    let name = format!("network-{}.safetensors", &digest[..12]);
+    assert_eq!(network.policy(), Some((name.as_str(), digest.as_str())));
+    let digest = sha256("policy");
+    assert_eq!(reach().policy(), Some((format!("policy-{}.safetensors", &digest[..12]).as_str(), digest.as_str())));
+    assert_eq!((kernel().policy(), unavoidable().policy(), rate().policy()), (None, None, None));
+    let folder = std::env::temp_dir().join(format!("crumple-verify-beside-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (path, other) = (folder.join("certificate.json"), folder.join("other"));
+    std::fs::write(folder.join(&name), b"a network").unwrap();
+    std::fs::write(&other, b"another one").unwrap();
+    assert_eq!(network.policy_bytes(&path, None).as_deref(), Some(&b"a network"[..]));
+    assert_eq!(network.policy_bytes(&path, Some(&other)).as_deref(), Some(&b"another one"[..]));
+    assert_eq!(reach().policy_bytes(&path, None), None, "there is none");
+    assert_eq!(kernel().policy_bytes(&path, Some(&other)), None, "it needs none");
+    // A name leads nowhere else.
+    let mut astray = cruise();
+    let Statement::AdaptiveCruise(claim) = &mut astray.statement else { panic!() };
+    claim.policy_file = format!("/nowhere/{name}");
+    assert_eq!(astray.policy_bytes(&path, None).as_deref(), Some(&b"a network"[..]));
+    std::fs::remove_dir_all(folder).unwrap();
 }

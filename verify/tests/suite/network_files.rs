@@ -4,7 +4,9 @@ use crumple_verify::reach::{Actor, Cell, Format, Ranges, Reach, Source, file_nam
 use crumple_verify::{Accepted, Assumption, Certificate, Interval, Provenance, Rejection, Statement, check_with};
 use sha2::{Digest, Sha256};
 
-use crate::support::networks::any_with_file;
+use serde_json::{Value, json};
+
+use crate::support::networks::{any_with_file, file_of};
 
 #[test]
 fn what_is_written_is_read() {
@@ -28,7 +30,6 @@ fn with_text(file: &[u8], change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
 
 #[test]
 fn what_makes_no_sense_is_refused() {
-    use serde_json::{Value, json};
     let (_, file) = any_with_file(1);
     assert!(Actor::from_bytes(&with_text(&file, |_| ())).is_ok());
     type Change = fn(&mut Value);
@@ -122,5 +123,169 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
         let mut changed = file.clone();
         changed[place] ^= 1;
         assert!(matches!(check_with(&genuine, Some(&changed)), Err(Rejection::Policy { .. })));
+    }
+}
+
+/// A network that sees so many constants, with steps and tensors of its own.
+fn plain(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<Actor, String> {
+    let input = json!({ "constant": 1.0, "offset": 0.0, "scale": 1.0, "low": -1.0, "high": 1.0 });
+    let text = with_inputs(vec![input; constants], steps);
+    Actor::from_bytes(&file_of(&text, tensors))
+}
+
+fn with_inputs(inputs: Vec<Value>, steps: Value) -> Value {
+    json!({
+        "version": 1, "source": { "format": "onnx", "sha256": "0".repeat(64) }, "inputs": inputs, "steps": steps,
+        "output": { "answer": 0, "scale_mps2": 2.0, "offset_mps2": 1.0, "low_mps2": -1.0, "high_mps2": 3.0 },
+        "empty_gap_m": 80.0, "decision_interval_s": 0.1,
+    })
+}
+
+#[test]
+fn a_network_is_as_large_as_is_allowed_and_no_larger() {
+    let too_large = Err("describes too large a network".to_owned());
+    let relus = |count: usize| json!(vec!["relu"; count]);
+    for (inputs, steps) in [(1, 0), (1, 256), (4096, 0), (4096, 1), (31, 256)] {
+        assert!(plain(inputs, relus(steps), &[]).is_ok(), "{inputs} {steps}");
+    }
+    for (inputs, steps) in [(0, 0), (4097, 0), (1, 257), (1, 258), (4096, 2), (32, 256), (33, 256)] {
+        assert_eq!(plain(inputs, relus(steps), &[]).map(|_| ()), too_large, "{inputs} {steps}");
+    }
+    // The widest product, into it and out of it.
+    let zeros = vec![0.0; 4096];
+    let product = |inputs: usize, outputs: usize| {
+        let weight = ("steps.0.weight".to_owned(), vec![inputs, outputs], &zeros[..inputs * outputs]);
+        plain(
+            inputs,
+            json!([{ "linear": outputs }]),
+            &[weight, ("steps.0.bias".to_owned(), vec![outputs], &zeros[..outputs])],
+        )
+        .map(|_| ())
+    };
+    assert_eq!((product(4096, 1), product(1, 4096)), (Ok(()), Ok(())));
+    for outputs in [0, 4097, usize::MAX] {
+        let wide = plain(1, json!([{ "linear": outputs }]), &[]).map(|_| ());
+        assert_eq!(wide, Err("crumple_network: steps[0]: is too wide".to_owned()), "{outputs}");
+    }
+}
+
+#[test]
+fn numbers_of_functions_are_of_single_precision() {
+    for name in ["leaky-relu", "elu"] {
+        for number in [0.125, 0.0, f64::from(0.1_f32), f64::from(f32::MAX)] {
+            // What it makes of 1 must stay in single precision as well.
+            let read = plain(1, json!([{ (name): number }]), &[]).map(|_| ());
+            let expected = if number > 1.0 { Err("can leave single precision in layer 0".to_owned()) } else { Ok(()) };
+            assert_eq!(read, expected, "{name} {number}");
+        }
+        for number in [0.1, 1e300, -1e39, 1e-46] {
+            let read = plain(1, json!([{ (name): number }]), &[]).map(|_| ());
+            let said = "crumple_network: steps[0]: is no number of single precision".to_owned();
+            assert_eq!(read, Err(said), "{name} {number}");
+        }
+    }
+}
+
+/// What stands in for one who is not there is for what is seen of one who may not be: there always is somebody ahead.
+#[test]
+fn what_stands_in_is_for_who_may_be_absent() {
+    let read = |described: Value| {
+        let mut input = json!({ "offset": 0.5, "scale": 2.0, "low": -1.0, "high": 1.0 });
+        input.as_object_mut().unwrap().extend(described.as_object().unwrap().clone());
+        let actor = Actor::from_bytes(&file_of(&with_inputs(vec![input], json!([])), &[]))?;
+        Ok::<_, String>((actor.inputs[0].constant, actor.inputs[0].absent))
+    };
+    let refused = "crumple_network: inputs[0]: must be a quantity or a constant, and `absent` is for what is seen of another vehicle";
+    let refused = Err(refused.to_owned());
+    for quantity in ["gap", "speed", "relative_speed", "acceleration"] {
+        let unit = match quantity {
+            "gap" => "m",
+            "acceleration" => "mps2",
+            _ => "mps",
+        };
+        let [ahead, behind] = ["ahead", "behind"].map(|place| format!("{quantity}_{place}_{unit}"));
+        assert_eq!(read(json!({ "quantity": ahead })), Ok((0.0, None)));
+        assert_eq!(read(json!({ "quantity": ahead, "absent": 7.0 })), Ok((0.0, None)), "never absent");
+        assert_eq!(read(json!({ "quantity": behind })), Ok((0.0, None)));
+        assert_eq!(read(json!({ "quantity": behind, "absent": 7.0 })), Ok((0.0, Some(7.0))));
+    }
+    for quantity in ["speed_mps", "acceleration_mps2"] {
+        assert_eq!(read(json!({ "quantity": quantity })), Ok((0.0, None)));
+        assert_eq!(read(json!({ "quantity": quantity, "absent": 7.0 })), refused, "{quantity}");
+    }
+    for (quantity, absent) in [("is_ahead", None), ("is_behind", Some(0.0))] {
+        assert_eq!(read(json!({ "quantity": quantity })), Ok((1.0, absent)));
+        assert_eq!(read(json!({ "quantity": quantity, "absent": 0.0 })), refused, "{quantity}");
+    }
+    assert_eq!(read(json!({ "constant": 1.25 })), Ok((1.25, None)));
+    assert_eq!(read(json!({ "constant": 1.25, "absent": 0.0 })), refused);
+    assert_eq!(read(json!({ "constant": 1.25, "quantity": "speed_mps" })), refused);
+}
+
+#[test]
+fn an_input_has_a_scale_and_limits_in_order() {
+    let read = |scale: f64, [low, high]: [f64; 2]| {
+        let input = json!({ "quantity": "speed_mps", "offset": 0.5, "scale": scale, "low": low, "high": high });
+        Actor::from_bytes(&file_of(&with_inputs(vec![input], json!([])), &[])).map(|actor| actor.inputs[0].low)
+    };
+    for (scale, limits) in [(2.0, [1.0, 1.0]), (-2.0, [-1.0, 1.0]), (f64::MIN_POSITIVE, [0.0, 0.0])] {
+        assert_eq!(read(scale, limits), Ok(limits[0]), "{scale} {limits:?}");
+    }
+    for (scale, limits) in [(2.0, [1.0_f64.next_up(), 1.0]), (0.0, [-1.0, 1.0]), (-0.0, [-1.0, 1.0])] {
+        let refused = Err("crumple_network: inputs[0]: has numbers that make no sense".to_owned());
+        assert_eq!(read(scale, limits), refused, "{scale} {limits:?}");
+    }
+}
+
+/// An answer that lies between -0.5 and 0.25 before it is stretched, to 1 m/s² to either side of an offset.
+#[test]
+fn an_answer_is_cut_where_it_could_leave_its_bounds() {
+    let numbers = [-0.5, 0.25];
+    let is_cut = |scale: f64, [low, high]: [f64; 2], steps: Value| {
+        let input = json!({ "constant": 1.0, "offset": 0.0, "scale": 1.0, "low": -1.0, "high": 1.0 });
+        let mut text = with_inputs(vec![input], steps);
+        for (field, value) in [("scale_mps2", scale), ("offset_mps2", 3.0), ("low_mps2", low), ("high_mps2", high)] {
+            text["output"][field] = json!(value);
+        }
+        let steps = text["steps"].as_array().unwrap().clone();
+        let clips = (0..steps.len()).filter(|&index| steps[index] == "clip");
+        let tensors: Vec<_> = clips
+            .flat_map(|index| {
+                let of = |name: &str, place: usize| (format!("steps.{index}.{name}"), vec![1], &numbers[place..=place]);
+                [of("low", 0), of("high", 1)]
+            })
+            .collect();
+        Actor::from_bytes(&file_of(&text, &tensors)).map(|actor| actor.is_cut)
+    };
+    for scale in [2.0, -2.0] {
+        assert_eq!(is_cut(scale, [2.0, 4.0], json!(["clip"])), Ok(false), "{scale}");
+        assert_eq!(is_cut(scale, [2.0, 4.0_f64.next_down()], json!(["clip"])), Ok(true), "{scale}");
+        assert_eq!(is_cut(scale, [2.0_f64.next_up(), 4.0], json!(["clip"])), Ok(true), "{scale}");
+        // The last function has to be the one that bounds.
+        assert_eq!(is_cut(scale, [-9.0, 9.0], json!(["clip", "relu"])), Ok(true), "{scale}");
+    }
+    for bounded in ["tanh", "sigmoid"] {
+        assert_eq!(is_cut(1.0, [2.0, 4.0], json!([bounded])), Ok(false), "{bounded}");
+        assert_eq!(is_cut(1.0, [2.0, 4.0_f64.next_down()], json!([bounded])), Ok(true), "{bounded}");
+        assert_eq!(is_cut(1.0_f64.next_up(), [2.0, 4.0], json!([bounded])), Ok(true), "{bounded}");
+    }
+    for bounds in [[4.0, 4.0], [4.0, 2.0]] {
+        let said = "crumple_network: output: numbers that are not finite and in order".to_owned();
+        assert_eq!(is_cut(1.0, bounds, json!(["clip"])), Err(said), "{bounds:?}");
+    }
+}
+
+#[test]
+fn a_header_is_as_long_as_is_allowed_and_no_longer() {
+    let (actor, file) = any_with_file(5);
+    let length = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
+    let padded = |to: usize| {
+        let spaces = " ".repeat(to - length);
+        let parts = [&(to as u64).to_le_bytes()[..], &file[8..8 + length], spaces.as_bytes(), &file[8 + length..]];
+        Actor::from_bytes(&parts.concat())
+    };
+    assert_eq!(padded(1 << 20), Ok(actor));
+    for longer in [1, 2, 1 << 20] {
+        assert_eq!(padded((1 << 20) + longer).map(|_| ()), Err("has too long a header".to_owned()), "{longer}");
     }
 }

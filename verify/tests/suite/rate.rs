@@ -104,3 +104,75 @@ fn the_better_of_two_is_told_by_the_draws_that_tell_them_apart() {
     assert!(!shown(0, 0));
     assert!(shown(400, 500));
 }
+
+#[test]
+fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
+    let most = crumple_verify::rate::MOST_RUNS;
+    let exact = (most as f64 * (-1e-9_f64).ln_1p()).exp();
+    let tail = tail_at_most(0, most, 1e-9);
+    assert!(tail >= exact * (1.0 - 1e-12) && tail <= exact * (1.0 + 5e-7), "{tail} {exact}");
+    for runs in [most + 1, most + 2, u64::MAX] {
+        for rate in [1e-9, 1e-300, 0.5] {
+            assert_eq!(tail_at_most(0, runs, rate), 1.0, "{runs} {rate}");
+        }
+    }
+    for (failures, runs) in [(5, 5), (6, 5), (0, 0)] {
+        assert_eq!(tail_at_most(failures, runs, 0.5), 1.0, "{failures} of {runs}");
+    }
+}
+
+/// 1 - p is 1 then, and what is above it is above 1: no factor makes the product less.
+#[test]
+fn a_rate_next_to_nothing_has_all_of_the_tail() {
+    for runs in 1..9 {
+        for failures in 0..runs {
+            assert_eq!(tail_at_most(failures, runs, 1e-300), 1.0, "{failures} of {runs}");
+        }
+    }
+}
+
+fn refused_for(statement: Statement) -> String {
+    checked(statement).unwrap_err().to_string()
+}
+
+#[test]
+fn limits_of_what_is_registered_and_claimed_are_exact() {
+    for confidence in [-1.0, 0.4, 0.5, 1.0, 1.1, f64::NAN] {
+        let refused = refused_for(Statement::Rate(rate(0, 100, 0.9, confidence)));
+        assert_eq!(refused, "`registration.confidence` must be between 1/2 and 1", "{confidence}");
+    }
+    for confidence in [0.5_f64.next_up(), 1.0_f64.next_down()] {
+        assert!(is_shown(rate(0, 100, 0.9, confidence)), "{confidence}");
+        assert!(checked(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(), "{confidence}");
+    }
+    for rate_at_most in [-0.1, 0.0, 1.0, 1.5, f64::NAN] {
+        let refused = refused_for(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
+        assert_eq!(refused, "`rate_at_most` must be between 0 and 1", "{rate_at_most}");
+    }
+    assert!(checked(Statement::Rate(rate(99, 100, 1.0_f64.next_down(), 0.9))).is_ok());
+    for (runs, failures) in [(0, 0), (1_000_000_001, 0)] {
+        let refused = refused_for(Statement::Rate(rate(failures, runs, 0.5, 0.9)));
+        assert_eq!(refused, "`registration.runs` must be from 1 to 1000 million", "{runs}");
+    }
+    for failures in [100, 101] {
+        let refused = refused_for(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
+        assert_eq!(refused, "`failures` are all runs: no bound on the rate follows");
+    }
+    let comparison = |only_first_failed, only_second_failed| {
+        let registration = registration(10, 0.99);
+        let registration_sha256 = registration.digest();
+        let blocks = Vec::new();
+        Statement::Comparison(Comparison {
+            registration,
+            registration_sha256,
+            only_first_failed,
+            only_second_failed,
+            blocks,
+        })
+    };
+    assert_eq!(checked(comparison(0, 10)), Ok(Accepted::FailsLessOften { confidence: 0.99 }), "2^-10 is below 1 %");
+    for only_second_failed in [11, 12, u64::MAX] {
+        let refused = refused_for(comparison(0, only_second_failed));
+        assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");
+    }
+}

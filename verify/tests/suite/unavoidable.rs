@@ -250,3 +250,130 @@ fn contact_at_the_start_is_unavoidable() {
     let branch = Branch { last: 10, front: vec![(0, 2.0)], ..Branch::default() };
     assert!((check_branch(&scene, &branch, 0).unwrap() - 0.5).abs() < 1e-12);
 }
+
+/// A car at 20 m/s that stands after 25 m and 2.5 s, which is when the scene ends, so far behind one that stands.
+fn stopping(gap_m: f64, follower: Option<Follower>) -> Scene {
+    let mut scene = Scene { step_s: 0.5, steps: 5, follower, ..standing_leader(gap_m) };
+    scene.leader.acceleration_mps2[0].0 = 5;
+    scene
+}
+
+/// The row that whoever brakes fully satisfies least: where it is at the end.
+fn at_the_end(first: u32) -> Branch {
+    Branch { first, last: 5, front: vec![(5, 2.0)], ..Branch::default() }
+}
+
+fn gap_bound(scene: &Scene, branches: &[Branch], gap_m: f64) -> Result<Accepted, Rejection> {
+    let claim = GapBound { scene: scene.clone(), gap_m, branches: branches.to_vec() };
+    check(&certificate(Statement::GapBound(claim)))
+}
+
+#[test]
+fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
+    let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping(gap_m, None), &[at_the_end(0)], stated_m);
+    let Ok(Accepted::GapBound { gap_m, horizon_s }) = with(30.0, 5.5) else { panic!("{:?}", with(30.0, 5.5)) };
+    assert!(gap_m >= 5.0 && gap_m - 5.0 < 1e-12 && horizon_s == 2.5, "{gap_m} {horizon_s}");
+    assert_eq!(with(30.0, gap_m), Ok(Accepted::GapBound { gap_m, horizon_s }));
+    let stated_m = gap_m.next_down();
+    assert_eq!(with(30.0, stated_m), Err(Rejection::GapBound { stated_m, gap_m }));
+    let said = with(30.0, 4.0).unwrap_err().to_string();
+    assert_eq!(said, format!("`gap_m` is 4, and only {gap_m} m is proved"));
+    // Where it touches, no gap above 0 is kept.
+    assert_eq!(with(20.0, 0.0), Ok(Accepted::GapBound { gap_m: 0.0, horizon_s }));
+    for stated_m in [-1e-300, -5.0, f64::NAN, f64::INFINITY] {
+        let said = with(30.0, stated_m).unwrap_err().to_string();
+        assert_eq!(said, "`gap_m` must be a number that is not negative", "{stated_m}");
+    }
+    // Without a row of contact nothing is said of a gap.
+    let speed = vec![vec![(5, 1.0)]];
+    for nothing in [Branch { last: 5, ..Branch::default() }, Branch { last: 5, speed, ..Branch::default() }] {
+        let refused = gap_bound(&stopping(30.0, None), &[nothing], 1e9);
+        assert!(matches!(refused, Err(Rejection::Unproved { branch: 0, sum_m }) if sum_m < 0.0), "{refused:?}");
+    }
+}
+
+/// Who stands behind never brakes: a branch in which it does has no member, and counts for nothing.
+#[test]
+fn a_branch_that_nobody_is_in_takes_nothing_away() {
+    let follower = Follower {
+        position_m: Interval::point(-50.0),
+        speed_mps: Interval::ZERO,
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.0,
+        reaction_steps: 0,
+    };
+    let fires = |k: u32| Branch { first: k, last: k, fired: 1.0, ..Branch::default() };
+    let branches: Vec<Branch> = (0..5).map(fires).chain([at_the_end(5)]).collect();
+    let scene = |gap_m: f64| stopping(gap_m, Some(follower.clone()));
+    assert_eq!(check_branch(&scene(20.0), &branches[3], 3), Ok(f64::INFINITY));
+    match gap_bound(&scene(30.0), &branches, 5.5) {
+        Ok(Accepted::GapBound { gap_m, .. }) => assert!((gap_m - 5.0).abs() < 1e-12, "{gap_m}"),
+        other => panic!("{other:?}"),
+    }
+    match check(&certificate(Statement::Unavoidable(Unavoidable { scene: scene(20.0), branches }))) {
+        Ok(Accepted::Unavoidable { overlap_m, horizon_s }) => {
+            assert!(overlap_m <= 5.0 && 5.0 - overlap_m < 1e-12 && horizon_s == 2.5, "{overlap_m} {horizon_s}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_branch_alone_lies_within_the_instants_too() {
+    let of = |first, last| check_branch(&stopping(20.0, None), &Branch { first, last, ..at_the_end(0) }, 7);
+    assert!(of(0, 5).is_ok() && of(5, 5).is_ok());
+    for (first, last) in [(3, 2), (0, 6), (6, 6), (6, 5)] {
+        assert_eq!(of(first, last), Err(Rejection::Tiling { branch: 7 }), "{first} {last}");
+    }
+}
+
+/// At the least numbers there are a quotient may round to zero where the sum does not.
+#[test]
+fn an_overlap_that_is_proved_is_more_than_nothing() {
+    let mut proved = 0;
+    for (ulps, y) in (1..12).flat_map(|ulps| (1..40).map(move |y| (ulps, y))) {
+        let mut scene = stopping(0.0, None);
+        scene.leader.position_m = Interval::point(-f64::from_bits(ulps));
+        (scene.leader.length_m, scene.egos[0].speed_mps) = (0.0, Interval::ZERO);
+        let branch = Branch { last: 5, front: vec![(0, f64::from(y))], ..Branch::default() };
+        match check_branch(&scene, &branch, 0) {
+            Ok(overlap_m) => {
+                proved += 1;
+                assert!(overlap_m > 0.0 && overlap_m <= f64::from_bits(ulps), "{ulps} {y}: {overlap_m}");
+            }
+            Err(rejection) => assert!(matches!(rejection, Rejection::Unproved { branch: 0, .. }), "{rejection}"),
+        }
+    }
+    assert!(proved > 100, "{proved}");
+}
+
+/// What a statement about a scene announces: instants 0 to N, each of its vehicles, in each branch.
+#[test]
+fn work_is_counted_for_every_instant_and_vehicle() {
+    let follower = Follower {
+        position_m: Interval::point(-50.0),
+        speed_mps: Interval::ZERO,
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.0,
+        reaction_steps: 0,
+    };
+    for (egos, follower, vehicles) in [(1, None, 2), (1, Some(follower.clone()), 3), (3, Some(follower), 5)] {
+        let mut scene = stopping(20.0, follower);
+        scene.egos = vec![scene.egos[0].clone(); egos];
+        let (witness, min_gap_m_at_least) = (vec![vec![Held(5, 0.0)]; egos], None);
+        let branches = vec![at_the_end(0)];
+        for statement in [
+            Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least }),
+            Statement::Unavoidable(Unavoidable { scene: scene.clone(), branches: branches.clone() }),
+            Statement::GapBound(GapBound { scene, gap_m: 0.0, branches }),
+        ] {
+            let claim = certificate(statement);
+            let (needed, name) = (6 * vehicles * 400, claim.statement.name());
+            let is_too_much = |operations: u64| {
+                let checked = check_within(&claim, None, WorkLimit::operations(operations));
+                matches!(checked, Err(Rejection::TooMuchWork { .. }))
+            };
+            assert!(!is_too_much(needed) && is_too_much(needed - 1), "{name}: {vehicles}");
+        }
+    }
+}

@@ -196,9 +196,14 @@ fn file(actor: &Actor, inputs: Vec<Value>) -> Vec<u8> {
         },
         "empty_gap_m": actor.empty_gap_m, "decision_interval_s": actor.decision_interval_s,
     });
+    file_of(&text, &tensors)
+}
+
+/// A file of a text and tensors: name, shape, numbers.
+pub fn file_of(text: &Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Vec<u8> {
     let mut header = json!({ "__metadata__": { "crumple_network": text.to_string() } });
     let mut data = Vec::new();
-    for (name, shape, numbers) in tensors {
+    for &(ref name, ref shape, numbers) in tensors {
         let from = data.len();
         data.extend(numbers.iter().flat_map(|&number| (number as f32).to_le_bytes()));
         header[name] = json!({ "dtype": "F32", "shape": shape, "data_offsets": [from, data.len()] });
