@@ -332,3 +332,6 @@ fn answer_within(steps: &[Step], which: usize, inputs: &[Form], work: &Work) -> 
     }
     Some(form)
 }
+
+#[cfg(test)]
+mod tests;

@@ -96,3 +96,6 @@ impl Braking {
         Seen { distance, speed: rectified(&free), acceleration }
     }
 }
+
+#[cfg(test)]
+mod tests;

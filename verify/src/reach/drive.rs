@@ -389,3 +389,6 @@ impl Drive<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -338,3 +338,6 @@ fn stepped(from: &Seen, wanted: &Form, step: Interval) -> Seen {
     };
     Seen { acceleration, ..later }
 }
+
+#[cfg(test)]
+mod tests;

@@ -187,3 +187,6 @@ fn scripts(ranges: Ranges, limit_mps2: Option<f64>, steps: u32) -> Ranges {
         _ => ranges,
     }
 }
+
+#[cfg(test)]
+mod tests;

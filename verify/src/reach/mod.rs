@@ -34,6 +34,8 @@ pub mod activation;
 pub mod actor;
 pub mod bounds;
 pub mod braking;
+#[cfg(test)]
+mod cases;
 mod container;
 pub mod drive;
 pub mod follower;
@@ -356,3 +358,6 @@ fn judge(scene: &Scene<'_>, cell: &Cell, ranges: &Ranges, work: &Work) -> Result
         Cell::Undecided | Cell::Cut(_) => Ok(f64::INFINITY),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -119,3 +119,6 @@ impl Ranges {
         Some(at)
     }
 }
+
+#[cfg(test)]
+mod tests;

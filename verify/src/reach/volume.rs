@@ -50,3 +50,6 @@ fn add_shares(a: f64, b: f64) -> f64 {
     let lost = (a - (sum - of_b)) + (b - of_b);
     if lost < 0.0 { sum.next_down() } else { sum }
 }
+
+#[cfg(test)]
+mod tests;

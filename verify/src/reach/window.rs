@@ -67,3 +67,6 @@ pub(super) fn merged(windows: Vec<Window>, scene: &Scene<'_>) -> Vec<Window> {
         merged
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,54 @@
+use proptest::prelude::*;
+
+use super::super::cases::{any, assert_bounds, from};
+use super::*;
+
+const STEP_S: f64 = 0.1;
+
+fn braking(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braking {
+    let form = |symbol, [low, high]: [f64; 2]| any(symbol, low, high);
+    let onset_range = from(onsets[0], onsets[1]);
+    Braking::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))
+}
+
+proptest! {
+    /// All members have stood for a step once the fastest that brakes least and last has stopped a step ago.
+    #[test]
+    fn all_have_stood_a_step_after_the_last_has_stopped(
+        v in 0.0..30.0_f64, b in 0.5..9.0_f64, onset in 0.0..60.0_f64, widths in prop::array::uniform3(0.0..3.0_f64),
+    ) {
+        let braking = braking([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
+        let last = 1.0 + onset + widths[2] + (v + widths[0]) / (b * STEP_S);
+        let has_stood = |k: f64| braking.has_stood(k as u32, Interval::point(STEP_S));
+        prop_assume!((last - last.round()).abs() > 1e-6);
+        prop_assert!(has_stood(last.ceil()) && has_stood(last.ceil() + 50.0));
+        prop_assert!(!has_stood(last.floor()) && !has_stood((last / 2.0).floor()) && !has_stood(0.0));
+    }
+
+    /// One vehicle that brakes from an instant on is where the closed form says, with the acceleration of the step before.
+    #[test]
+    fn one_vehicle_is_where_the_closed_form_says(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
+        let Seen { distance, speed, acceleration } =
+            braking([v; 2], [b; 2], [f64::from(onset); 2]).at(k, Interval::point(STEP_S));
+        let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];
+        let stops = v / b;
+        prop_assume!((since - stops).abs() > 1e-6 && (since - STEP_S - stops).abs() > 1e-6);
+        let moving = since.min(stops);
+        let slack = 1e-11 * (1.0 + v) * (1.0 + v) * (2.0 + until + since) * (1.0 + b);
+        assert_bounds(distance.range(), [v * until + v * moving - 0.5 * b * moving * moving; 2], slack);
+        assert_bounds(speed.range(), [v - b * moving; 2], slack);
+        // Over the step in which it stops it is seen to have braked at anything.
+        let expected = if since == 0.0 || since - STEP_S > stops { [0.0; 2] } else { [-b, if since > stops { 0.0 } else { -b }] };
+        assert_bounds(acceleration.range(), expected, slack);
+    }
+}
+
+/// Who has begun to brake by the instant before is seen to brake as hard as it does; where some may not have, at anything.
+#[test]
+fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
+    let step = Interval::point(STEP_S);
+    let braking = braking([20.0, 21.0], [5.0, 6.0], [2.0, 5.0]);
+    assert_eq!(braking.at(6, step).acceleration, braking.rate.scaled(Interval::point(-1.0)));
+    assert_bounds(braking.at(5, step).acceleration.range(), [-6.0, 0.0], 1e-10);
+    assert!(braking.at(2, step).acceleration.is_zero());
+}

@@ -1,0 +1,264 @@
+use proptest::prelude::*;
+
+use super::super::cases::{any, assert_bounds, exactly, from, start};
+use super::*;
+
+const IDM: Idm = Idm {
+    desired_speed_mps: 30.0,
+    time_headway_s: 1.5,
+    standstill_gap_m: 2.0,
+    accel_mps2: 1.4,
+    comfortable_brake_mps2: 2.0,
+    max_accel_mps2: 3.0,
+};
+const ACC: AccAeb = AccAeb {
+    ttc_s: 2.0,
+    time_headway_s: 1.2,
+    standstill_gap_m: 2.5,
+    gap_gain_per_s2: 0.3,
+    speed_gain_per_s: 0.8,
+    comfort_brake_mps2: 3.0,
+    comfort_accel_mps2: 1.5,
+    max_accel_mps2: 2.5,
+};
+
+fn any_idm() -> impl Strategy<Value = Idm> {
+    (10.0..40.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.3..3.0_f64, 0.3..5.0_f64, 0.0..4.0_f64).prop_map(
+        |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
+            Idm {
+                desired_speed_mps,
+                time_headway_s,
+                standstill_gap_m,
+                accel_mps2,
+                comfortable_brake_mps2,
+                max_accel_mps2,
+            }
+        },
+    )
+}
+
+fn any_acc() -> impl Strategy<Value = AccAeb> {
+    (0.0..4.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.0..1.0_f64, 0.0..2.0_f64, 0.0..5.0_f64, 0.0..3.0_f64, 0.0..4.0_f64)
+        .prop_map(|(ttc_s, time_headway_s, standstill_gap_m, gap_gain, speed_gain, brake, accel, most)| AccAeb {
+            ttc_s,
+            time_headway_s,
+            standstill_gap_m,
+            gap_gain_per_s2: gap_gain,
+            speed_gain_per_s: speed_gain,
+            comfort_brake_mps2: brake,
+            comfort_accel_mps2: accel,
+            max_accel_mps2: most,
+        })
+}
+
+/// What `idm` wants, and how large what it is the difference of is.
+fn wanted_by_idm(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
+    let dynamic = v * law.time_headway_s + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
+    let share = (law.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
+    let fourth = (v / law.desired_speed_mps).powi(4);
+    let size = 1.0 + fourth + (share + v * (v + w) / gap.max(0.01)).powi(2);
+    (law.accel_mps2 * (1.0 - fourth - share * share), law.accel_mps2 * size)
+}
+
+/// What `acc-aeb` wants where its emergency brake does not fire.
+fn wanted_by_acc(law: &AccAeb, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
+    let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
+    let wanted = (law.speed_gain_per_s * (u - v)).min(follow + law.speed_gain_per_s * (w - v));
+    wanted.max(-law.comfort_brake_mps2).min(law.comfort_accel_mps2)
+}
+
+fn sight(gap: Form, speed: Form, ahead: &Form) -> Sight {
+    let closing = speed.clone().minus(ahead);
+    Sight { gap, speed, closing }
+}
+
+fn point([gap, v, w]: [f64; 3]) -> Sight {
+    sight(exactly(gap), exactly(v), &exactly(w))
+}
+
+const BRAKE: [f64; 2] = [7.0, 9.0];
+
+fn behind<'a>(law: &'a Law, set_speed: Form, brake: Form, start_gap: &'a Form) -> Behind<'a> {
+    Behind { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
+}
+
+proptest! {
+    /// Of one gap and one pair of speeds both ways to evaluate `idm` give what its formula gives, and next to nothing else.
+    #[test]
+    fn what_idm_wants_of_one_sight_is_its_formula(
+        law in any_idm(), gap in prop_oneof![0.02..0.5_f64, 0.5..60.0_f64], v in 0.0..40.0_f64, w in 0.0..40.0_f64,
+    ) {
+        let (expected, size) = wanted_by_idm(&law, [gap, v, w]);
+        let seen = point([gap, v, w]);
+        assert_bounds(law.plainly(&seen), [expected; 2], 1e-12 * size);
+        assert_bounds(law.wanted(&seen, &exactly(8.0)).range(), [expected; 2], 1e-11 * size);
+        // A gap that is nearly nothing counts as a centimetre.
+        let (expected, size) = wanted_by_idm(&law, [0.004, v, w]);
+        assert_bounds(law.plainly(&point([0.004, v, w])), [expected; 2], 1e-12 * size);
+    }
+
+    /// What `idm` is said to do of a box of sights holds what it does of each, and is no wider than the narrower of a form and of
+    /// plain intervals; where that is the form, what it knows of the symbols is kept.
+    #[test]
+    fn of_a_form_and_plain_numbers_the_narrower_counts(
+        low in 0.02..30.0_f64, widths in prop::array::uniform3(prop_oneof![0.01..0.3_f64, 0.3..8.0_f64]),
+        v in 0.5..25.0_f64, w in 0.0..25.0_f64, places in prop::array::uniform3(0.0..=1.0_f64),
+    ) {
+        let (law, start_gap) = (Law::Idm(IDM), Form::default());
+        let behind = behind(&law, Form::default(), exactly(8.0), &start_gap);
+        let box_of = [low, v, w].into_iter().zip(widths);
+        let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
+        let forms: Vec<Form> = ends.iter().enumerate().map(|(i, &[low, high])| any(i, low, high)).collect();
+        let seen = sight(forms[0].clone(), forms[1].clone(), &forms[2]);
+        let found = behind.acceleration(&seen);
+        let form = behind.able(&IDM.wanted(&seen, &behind.brake)).range();
+        let plain = IDM.plainly(&seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
+        let width = |range: Interval| range.high() - range.low();
+        let narrower = width(form).min(width(plain));
+        prop_assert!(width(found.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{found:?} {form:?} {plain:?}");
+        if width(form) < 0.999 * width(plain) {
+            prop_assert!(found.terms().iter().any(|&term| term != 0.0), "{found:?} {plain:?}");
+        }
+        let at: Vec<f64> = ends.iter().zip(places).map(|([low, high], place)| low + place * (high - low)).collect();
+        let true_one = wanted_by_idm(&IDM, [at[0], at[1], at[2]]).0.clamp(-8.0, 3.0);
+        let range = found.range();
+        prop_assert!(range.low() <= true_one + 1e-9 && true_one - 1e-9 <= range.high(), "{true_one} {range:?}");
+    }
+
+    /// Of one sight `acc-aeb` brakes fully where the gap is below θ times the closing speed, and follows its formula where it is not.
+    #[test]
+    fn what_acc_aeb_does_of_one_sight_is_its_formula(
+        law in any_acc(), gap in 0.0..60.0_f64, v in 0.0..40.0_f64, w in 0.0..40.0_f64, u in 0.0..40.0_f64,
+    ) {
+        let guard = gap - law.ttc_s * (v - w);
+        prop_assume!(guard.abs() > 1e-9);
+        let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { wanted_by_acc(&law, u, [gap, v, w]) };
+        let expected = wanted.max(-8.0).min(law.max_accel_mps2);
+        let (law, start_gap) = (Law::AccAeb(law), Form::default());
+        let found = behind(&law, exactly(u), exactly(8.0), &start_gap).acceleration(&point([gap, v, w]));
+        assert_bounds(found.range(), [expected; 2], 1e-12 * 200.0);
+    }
+}
+
+/// Who is not let nearer than a centimetre by its law says nothing there: anything from full braking to A.
+#[test]
+fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
+    let brake = any(6, BRAKE[0], BRAKE[1]);
+    for low in [-1.0, 0.0, 0.01] {
+        let seen = sight(any(0, low, 30.0), exactly(10.0), &exactly(10.0));
+        assert_bounds(IDM.wanted(&seen, &brake).range(), [-BRAKE[1], IDM.accel_mps2], 1e-10);
+    }
+}
+
+/// Where the emergency brake may fire or not, anything between full braking and what it does otherwise, and nothing else.
+#[test]
+fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
+    let (law, start_gap) = (Law::AccAeb(AccAeb { ttc_s: 5.0, ..ACC }), Form::default());
+    let behind = behind(&law, exactly(25.0), any(6, BRAKE[0], BRAKE[1]), &start_gap);
+    // Closing at 1 m/s, it fires below 5 m.
+    let at =
+        |low: f64, high: f64| behind.acceleration(&sight(any(0, low, high), exactly(20.0), &exactly(19.0))).range();
+    assert_bounds(at(4.0, 30.0), [-BRAKE[1], wanted_by_acc(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
+    assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
+    let follows = [29.0, 30.0].map(|gap| wanted_by_acc(&ACC, 25.0, [gap, 20.0, 19.0]));
+    assert_bounds(at(29.0, 30.0), follows, 1e-9);
+    // Exactly at the limit it does not fire.
+    let stands = Sight { gap: Form::default(), speed: Form::default(), closing: Form::default() };
+    let expected = wanted_by_acc(&ACC, 25.0, [0.0; 3]);
+    assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
+}
+
+/// u is v(0) unless the emergency brake may fire at once; then it is anything down to standstill.
+#[test]
+fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_once() {
+    let mut ranges = start([50.0, 10.0, 10.0, 10.0, 0.0, 6.0, 8.0, 0.0]);
+    ranges.follower_speed_mps = from(14.0, 14.5);
+    let law = Law::AccAeb(ACC);
+    // Closing at 4.5 m/s at most, it fires below 9 m.
+    for (gap, expected) in [(9.5, [14.0, 14.5]), (8.5, [0.0, 14.5])] {
+        let gap = exactly(gap);
+        let behind = Behind::new(&law, &ranges, &gap, Interval::point(0.1));
+        assert_bounds(behind.set_speed.range(), expected, 1e-9);
+    }
+}
+
+/// Who surely moves, or does not brake, has held what it asked for; who may have stopped may have held nothing; who stands does not
+/// go backwards.
+#[test]
+fn what_is_seen_of_an_acceleration_is_what_may_have_been_held() {
+    let step = Interval::point(0.1);
+    let at = |speed: Form| Seen { distance: Form::default(), speed, acceleration: Form::default() };
+    let (moves, may_stand, stands) = (at(any(0, 5.0, 6.0)), at(any(0, 0.0, 6.0)), at(Form::default()));
+    let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| any(1, low, high));
+    for wanted in [&brakes, &either, &starts] {
+        assert_eq!(stepped(&moves, wanted, step).acceleration, *wanted);
+    }
+    assert_eq!(stepped(&may_stand, &starts, step).acceleration, starts);
+    assert_bounds(stepped(&may_stand, &brakes, step).acceleration.range(), [-2.0, 0.0], 1e-10);
+    assert_bounds(stepped(&may_stand, &either, step).acceleration.range(), [-2.0, 1.0], 1e-10);
+    assert!(stepped(&stands, &brakes, step).acceleration.is_zero());
+    assert_eq!(stepped(&stands, &starts, step).acceleration, starts);
+    // The chord of max(0, u) from -2 to 1 has the slope 1/3.
+    assert_bounds(stepped(&stands, &either, step).acceleration.range(), [-2.0 / 3.0, 1.0], 1e-10);
+}
+
+/// A follower a step later is where the closed form says, and asks for what its law does of the gap and the speeds that it sees.
+#[test]
+fn a_step_by_a_law_is_the_closed_form() {
+    let (law, start_gap) = (Law::AccAeb(ACC), exactly(20.0));
+    let behind = behind(&law, exactly(16.0), exactly(8.0), &start_gap);
+    let at =
+        |distance, speed| Seen { distance: exactly(distance), speed: exactly(speed), acceleration: Form::default() };
+    let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
+    let (later, asked) = behind.stepped(&own, &ego);
+    let u = wanted_by_acc(&ACC, 16.0, [22.0, 15.0, 14.0]);
+    // What it sees may be off by a nanometre.
+    assert_bounds(asked.range(), [u; 2], 1e-8);
+    assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);
+    assert_bounds(later.speed.range(), [15.0 + 0.1 * u; 2], 1e-8);
+}
+
+#[test]
+fn a_law_whose_numbers_make_no_sense_is_refused() {
+    assert!(Law::Idm(IDM).validated().is_ok() && Law::AccAeb(ACC).validated().is_ok());
+    let idm = |change: fn(&mut Idm, f64), number| {
+        let mut law = IDM;
+        change(&mut law, number);
+        Law::Idm(law).validated().is_ok()
+    };
+    let divisors: [fn(&mut Idm, f64); 3] =
+        [|law, x| law.desired_speed_mps = x, |law, x| law.accel_mps2 = x, |law, x| law.comfortable_brake_mps2 = x];
+    let others: [fn(&mut Idm, f64); 3] =
+        [|law, x| law.time_headway_s = x, |law, x| law.standstill_gap_m = x, |law, x| law.max_accel_mps2 = x];
+    for (changes, zero_is_fit) in [(divisors, false), (others, true)] {
+        for change in changes {
+            assert!([1e-3, 7.0].into_iter().all(|number| idm(change, number)));
+            assert_eq!(idm(change, 0.0), zero_is_fit);
+            assert!(![-1.0, f64::INFINITY, f64::NAN].into_iter().any(|number| idm(change, number)));
+        }
+    }
+    let acc = |change: fn(&mut AccAeb, f64), number| {
+        let mut law = ACC;
+        change(&mut law, number);
+        Law::AccAeb(law).validated().is_ok()
+    };
+    let all: [fn(&mut AccAeb, f64); 8] = [
+        |law, x| law.ttc_s = x,
+        |law, x| law.time_headway_s = x,
+        |law, x| law.standstill_gap_m = x,
+        |law, x| law.gap_gain_per_s2 = x,
+        |law, x| law.speed_gain_per_s = x,
+        |law, x| law.comfort_brake_mps2 = x,
+        |law, x| law.comfort_accel_mps2 = x,
+        |law, x| law.max_accel_mps2 = x,
+    ];
+    for change in all {
+        assert!([0.0, 7.0].into_iter().all(|number| acc(change, number)));
+        assert!(![-1.0, f64::INFINITY, f64::NAN].into_iter().any(|number| acc(change, number)));
+    }
+}
+
+#[test]
+fn a_law_says_how_hard_its_vehicle_accelerates_at_most() {
+    assert_eq!([Law::Idm(IDM), Law::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
+}

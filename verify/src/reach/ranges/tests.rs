@@ -1,0 +1,24 @@
+use super::super::cases::{from, start};
+use super::*;
+
+/// A cut leaves nobody out, and is in the middle; where there is no number in between there is none.
+#[test]
+fn a_range_is_cut_at_a_number_in_between_or_not_at_all() {
+    let one = 1.0_f64;
+    let next = [one.next_up(), one.next_up().next_up()];
+    for dimension in Dimension::ALL {
+        let mut ranges = start([7.0; 8]);
+        assert_eq!(ranges.halves(dimension), None);
+        // Between the first two the middle rounds to the lower one, and between the next two to the upper one.
+        for [low, high] in [[one, next[0]], next, [f64::MAX, f64::MAX]] {
+            *ranges.get_mut(dimension) = from(low, high);
+            assert_eq!(ranges.halves(dimension), None);
+        }
+        *ranges.get_mut(dimension) = from(1.0, 4.0);
+        let [lower, upper] = ranges.halves(dimension).unwrap();
+        assert_eq!([lower.get(dimension), upper.get(dimension)], [from(1.0, 2.5), from(2.5, 4.0)]);
+        for other in Dimension::ALL.into_iter().filter(|&other| other != dimension) {
+            assert_eq!([lower.get(other), upper.get(other)], [Interval::point(7.0); 2]);
+        }
+    }
+}

@@ -1,0 +1,88 @@
+use super::cases::{constant, from, scene, start};
+use super::*;
+use crate::work::WorkLimit;
+
+const INSIDE: [f64; 8] = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
+
+fn claim(partition: Vec<Cell>) -> Reach {
+    let mut ranges = start(INSIDE);
+    ranges.gap_ahead_m = from(0.0, 1.0);
+    Reach {
+        policy_file: file_name("0123456789abcdef", false),
+        policy_sha256: String::new(),
+        source: None,
+        step_s: 0.05,
+        steps: 300,
+        follower_ttc_s: None,
+        follower_law: None,
+        leader_brakes_at_most_mps2: None,
+        observation_error: [0.0; OBSERVED],
+        ranges,
+        partition,
+        verified_share_at_least: 0.0,
+        falsified_share_at_least: 0.0,
+        min_gap_m_at_least: 0.0,
+    }
+}
+
+fn problem<T>(result: Result<T, Rejection>) -> String {
+    result.err().map(|rejection| rejection.to_string()).unwrap_or_default()
+}
+
+#[test]
+fn the_name_of_a_file_begins_with_what_it_is_and_its_digest() {
+    assert_eq!(file_name("0123456789abcdef", false), "policy-0123456789ab.safetensors");
+    assert_eq!(file_name("0123456789abcdef", true), "network-0123456789ab.safetensors");
+}
+
+#[test]
+fn a_claim_is_about_as_many_steps_as_it_has() {
+    assert_eq!(claim(Vec::new()).horizon_s(), 15.0);
+}
+
+/// Steps that are no time, or no finite one, are refused for that, and those that do not make up a decision for this.
+#[test]
+fn steps_are_positive_and_divide_the_time_between_decisions() {
+    let actor = constant(0.0);
+    let of = |step_s: f64| problem(Reach { step_s, ..claim(vec![Cell::Undecided]) }.scene(&actor));
+    for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
+        assert!(of(step_s).ends_with("must be positive"), "{step_s}");
+    }
+    assert!(of(0.03).ends_with("does not divide the time between decisions") && of(0.05).is_empty());
+}
+
+/// A cell is cut at most so often, be it always the lower half or always the upper one.
+#[test]
+fn a_cell_is_cut_no_more_often_than_may_be() {
+    let cut = Cell::Cut(Dimension::GapAheadM);
+    for (cuts, expected) in [(MOST_CUTS, ""), (MOST_CUTS + 1, "cuts too often")] {
+        let lower: Vec<Cell> = [vec![cut; cuts], vec![Cell::Undecided; cuts + 1]].concat();
+        let upper: Vec<Cell> = [[cut, Cell::Undecided].repeat(cuts), vec![Cell::Undecided]].concat();
+        for partition in [lower, upper] {
+            let leaves = claim(partition).leaves();
+            assert!(leaves.as_ref().map_or(true, |leaves| leaves.len() == cuts + 1));
+            assert!(problem(leaves).ends_with(expected));
+        }
+    }
+}
+
+#[test]
+fn a_partition_of_too_many_cells_is_refused_as_such() {
+    assert!(problem(claim(vec![Cell::Undecided; MOST_CELLS + 1]).leaves()).ends_with("has too many cells"));
+    assert!(problem(claim(vec![Cell::Undecided; 2]).leaves()).ends_with("is one cell too many"));
+}
+
+/// A point that touches shows something of the cell that it is in, and of no other.
+#[test]
+fn a_point_is_one_of_its_cell() {
+    let actor = constant(0.0);
+    let mut ranges = start([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
+    ranges.gap_ahead_m = from(1.0, 2.0);
+    let (scene, work) = (scene(&actor, ranges), Work::within(WorkLimit::NONE));
+    let point = |gap_m: f64| Cell::Falsified([gap_m, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
+    let mut cell = ranges;
+    cell.gap_ahead_m = from(1.0, 1.5);
+    assert_eq!(judge(&scene, &point(1.25), &cell, &work), Ok(f64::INFINITY));
+    assert_eq!(judge(&scene, &point(1.75), &cell, &work), Err("the point is not in it".to_owned()));
+    assert_eq!(judge(&scene, &point(1.75), &ranges, &work), Ok(f64::INFINITY));
+}

@@ -1,0 +1,67 @@
+use num_rational::BigRational;
+use proptest::prelude::*;
+
+use super::super::cases::from;
+use super::*;
+
+fn exact(number: f64) -> BigRational {
+    BigRational::from_float(number).unwrap()
+}
+
+fn size(range: Interval) -> BigRational {
+    exact(range.high()) - exact(range.low())
+}
+
+/// Numbers of very different size, and such as halving makes.
+fn any_share() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        0.0..1.0_f64,
+        (0..60_i32).prop_map(|cuts| 0.5_f64.powi(cuts)),
+        (0.0..1.0_f64, 0..60_i32).prop_map(|(x, n)| x * 0.5_f64.powi(n))
+    ]
+}
+
+proptest! {
+    /// The sum of two shares is rounded down: to the last number that is not beyond it.
+    #[test]
+    fn shares_add_up_to_the_nearest_number_below(a in any_share(), b in any_share()) {
+        let (sum, found) = (exact(a) + exact(b), add_shares(a, b));
+        prop_assert!(exact(found) <= sum && sum < exact(found.next_up()), "{a} + {b}: {found}");
+    }
+
+    /// A part that is exactly half has exactly half of the share, even where no number says how wide it is.
+    #[test]
+    fn an_exact_half_has_half_of_the_share(
+        a in -2.0..2.0_f64, b in -2.0..2.0_f64, places in 30..52_i32, share in any_share(),
+    ) {
+        // On a grid on which the middle is a number, and the widths need more digits than numbers have, sometimes.
+        let unit = 0.5_f64.powi(places);
+        let [low, high] = [a.min(b), a.max(b)].map(|end| (end / unit).round() * unit);
+        prop_assume!(low < high);
+        for [low, high] in [[low, high], [low.next_down(), high], [low, high.next_up()], [low.next_down(), high.next_up()]] {
+            let (middle, whole) = (0.5 * low + 0.5 * high, from(low, high));
+            for part in [from(low, middle), from(middle, high)] {
+                let (found, expected) = (share_of_cut(share, part, whole), exact(share) * size(part) / size(whole));
+                prop_assert!(exact(found) <= expected);
+                if size(part) + size(part) == size(whole) {
+                    prop_assert_eq!(found, 0.5 * share);
+                } else {
+                    prop_assert!(exact(found) >= expected * exact(1.0 - 1e-14), "{} of {:?}", found, whole);
+                }
+            }
+        }
+    }
+}
+
+/// The middle of two numbers that are next but one to each other is the one between; that of next but two is not the middle.
+#[test]
+fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
+    let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up())).take(4).collect();
+    assert_eq!(share_of_cut(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[2])), 0.5);
+    let third = share_of_cut(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[3]));
+    assert!(third <= 1.0 / 3.0 && third > 1.0 / 3.0 - 1e-14);
+    // The widths of these are no numbers, but the one is half of the other.
+    let (low, high) = (-1.0_f64.next_down(), 1.0_f64.next_up());
+    let middle = 0.5 * low + 0.5 * high;
+    assert_eq!(share_of_cut(0.7, from(low, middle), from(low, high)), 0.35);
+}

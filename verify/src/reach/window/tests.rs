@@ -1,0 +1,105 @@
+use proptest::prelude::*;
+
+use super::super::cases::{constant, exactly, scene, start};
+use super::*;
+
+const ANYWHERE: [f64; 8] = [20.0; 8];
+
+fn members(kind: Kind) -> Members {
+    let mut members = Members::starting(exactly(10.0), 9);
+    members.kind = kind;
+    members
+}
+
+/// A decision interval of so many steps in which some of these kinds may fire.
+fn window(k: u32, every: u32, fire: &[Kind]) -> Window {
+    let mut window = Window::at(k);
+    fire.iter().for_each(|&kind| window.note(kind, [f64::from(k), f64::from(k + every - 1)]));
+    window.members = Kind::ALL.map(|kind| Some(members(kind)));
+    window
+}
+
+/// First decision, and first and last instant, of what so many windows in a row become.
+fn merged_of(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
+    let actor = constant(0.0);
+    let scene = Scene { step_s, decision_steps: every, ..scene(&actor, start(ANYWHERE)) };
+    let windows = ks.map(|k| window(k, every, &[Kind::Moving])).collect();
+    merged(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
+}
+
+/// So many windows in a row, D steps each, become some of as many steps as they last, and no longer than a tenth of a second.
+#[test]
+fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second() {
+    let cases = [
+        // Steps of 10 ms: up to ten steps.
+        (0.01, 1, 10, 1),
+        (0.01, 1, 11, 2),
+        (0.01, 1, 20, 2),
+        (0.01, 1, 25, 3),
+        (0.01, 1, 300, 10),
+        (0.01, 2, 25, 6),
+        (0.01, 3, 25, 9),
+        (0.01, 5, 25, 10),
+        (0.01, 10, 300, 10),
+        // Steps of 50 ms: two of them.
+        (0.05, 1, 300, 2),
+        (0.05, 1, 12, 2),
+        // The step is longer than the longest window: as they are.
+        (0.3, 1, 300, 1),
+    ];
+    for (step_s, every, count, length) in cases {
+        let found = merged_of(step_s, every, (0..count).map(|i| 7 + i * every));
+        let end = 7 + count * every;
+        let expected: Vec<(u32, [f64; 2])> = (7..end)
+            .step_by(length)
+            .map(|k| (k, [f64::from(k), f64::from((k + length as u32).min(end) - 1)]))
+            .collect();
+        assert_eq!(found, expected, "{step_s} {every} {count}");
+    }
+}
+
+/// How long a window may be counts from its first decision, whatever is not in it in between.
+#[test]
+fn a_pause_ends_a_window_if_it_is_long() {
+    let ks = [0, 1, 4, 5, 6, 7, 20, 22, 23, 24, 25].into_iter();
+    let found: Vec<u32> = merged_of(0.01, 1, ks).into_iter().map(|(k, _)| k).collect();
+    // Two steps each.
+    assert_eq!(found, [0, 4, 6, 20, 22, 24]);
+}
+
+proptest! {
+    /// Nobody who may fire is forgotten: each instant of each window is in one, which begins with no later a decision.
+    #[test]
+    fn every_instant_is_in_a_window(
+        every in 1..12_u32, step_s in prop::sample::select(vec![0.01, 0.02, 0.05]),
+        skipped in prop::collection::vec(0..3_u32, 1..120),
+    ) {
+        let ks: Vec<u32> = skipped.iter().scan(0, |k, skip| { *k += every * (1 + skip); Some(*k) }).collect();
+        let found = merged_of(step_s, every, ks.iter().copied());
+        prop_assert!(found.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        for k in ks {
+            let (from, instants) = found.iter().rev().find(|(from, _)| *from <= k).unwrap();
+            prop_assert!(instants[0] <= f64::from(k) && f64::from(k + every - 1) <= instants[1], "{from} {instants:?}");
+        }
+    }
+}
+
+/// Who moves in a later interval moved before; who stands then, or has started again, may have been of any kind.
+#[test]
+fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
+    let actor = constant(0.0);
+    let scene = Scene { step_s: 0.01, ..scene(&actor, start(ANYWHERE)) };
+    for (later, expected) in [
+        (&[Kind::Moving][..], [true, false, false]),
+        (&[Kind::Standing], [true; 3]),
+        (&[Kind::Restarted], [true; 3]),
+        (&[Kind::Moving, Kind::Standing], [true; 3]),
+    ] {
+        // Eleven, so that pairs become one; what fires first moves.
+        let windows = (0..11).map(|k| window(k, 1, if k == 1 { later } else { &[Kind::Moving] })).collect();
+        let first = merged(windows, &scene).remove(0);
+        assert!(first.may_fire() && first.instants == [0.0, 1.0]);
+        assert_eq!(first.firing().map(|members| members.is_some()), expected, "{later:?}");
+    }
+    assert!(!Window::at(3).may_fire());
+}
