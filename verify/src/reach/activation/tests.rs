@@ -233,3 +233,21 @@ fn numbers_have_as_many_operands_as_there_are() {
 fn what_is_curved_costs_most() {
     assert_eq!([Each::Relu, Each::LeakyRelu(0.1), Each::Tanh].map(|each| each.operations()), [0, 100, 1000]);
 }
+
+/// Products of small numbers lose more than in proportion, and a quotient is off its line by rounding on either side.
+#[test]
+fn what_is_small_may_be_lost() {
+    let least = f64::from(f32::from_bits(1));
+    for (each, by) in
+        [(Each::LeakyRelu(0.25), 0.25), (Each::Multiply(vec![0.25]), 0.25), (Each::Divide(vec![4.0]), 0.25)]
+    {
+        let line = each.line(0, -3.0 * least, -least);
+        let lost = by * 3.0 * least - f64::from((by * 3.0 * least) as f32);
+        assert!(
+            line.rounding >= lost.abs() && line.rounding >= 0.5 * least && line.rounding <= 2e-44,
+            "{each:?} {line:?}"
+        );
+    }
+    let line = Each::Divide(vec![3.0]).line(0, -1.0, 6.0);
+    assert!(line.low < 0.0 && line.high == -line.low && line.high >= f64::EPSILON && line.high <= 1e-14, "{line:?}");
+}

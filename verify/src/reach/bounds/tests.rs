@@ -67,6 +67,9 @@ proptest! {
                 (centre[number] - radius, centre[number] + radius)
             };
             let (low, high) = if bent(apart).0 < 0.0 && bent(apart).1 > 0.0 { bent(together) } else { bent(apart) };
+            // Nearer to 0 it takes more than double precision to say on which side an end is.
+            let ends = [bent(apart), bent(together)].into_iter().flat_map(|(low, high)| [low, high]);
+            prop_assume!(ends.into_iter().all(|end| end.abs() > 1e-2));
             if high <= 0.0 {
                 prop_assert!(found.centre[number] == 0.0 && found.rho[number] == 0.0);
                 prop_assert!(found.columns.iter().skip(number).step_by(NUMBERS).all(|&factor| factor == 0.0));
@@ -76,13 +79,13 @@ proptest! {
                 let slope = high / (high - low);
                 let half = -0.5 * slope * low;
                 let &(of, radius) = excess.next().unwrap();
-                prop_assert!(of == number && is_near(radius, half, 3e-14), "{radius} {half}");
-                prop_assert!((found.centre[number] - (centre[number] * slope + half)).abs() <= 1e-14);
+                prop_assert!(of == number && is_near(radius, half, 2e-13), "{radius} {half}");
+                prop_assert!((found.centre[number] - (centre[number] * slope + half)).abs() <= 1e-13);
                 for (j, &factor) in found.columns.iter().skip(number).step_by(NUMBERS).enumerate() {
-                    prop_assert!((factor - slope * column(j, number)).abs() <= 1e-14);
+                    prop_assert!((factor - slope * column(j, number)).abs() <= 1e-13);
                 }
                 let size = centre[number].abs() + apart + own + 2.0 * half;
-                let relative = if is_sure { 1e-9 } else { 1e-14 };
+                let relative = if is_sure { 1e-9 } else { 2e-13 };
                 prop_assert!(is_near(found.rho[number], rho[number] * slope + SLACK * size, relative));
             }
         }
@@ -112,11 +115,14 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     let mut bounds = Bounds::of_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
+    // A column of its own.
+    bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
     let found = bounds.through(&layer, &Inputs::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SLACK;
     let of = |i: usize| {
-        let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + if i == 5 { 0.125 } else { 0.0 };
+        let own = [(5, 0.125), (8, 0.25)].into_iter().find(|(at, _)| *at == i).map_or(0.0, |(_, own)| own);
+        let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + own;
         weights[i].abs() * (1e-3 + gamma * size)
     };
     let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
@@ -145,7 +151,8 @@ fn functions_may_follow_each_other() {
     alone.each(&Each::Relu, &known);
     let rho = alone.rho[0];
     let form = alone.form(0, &inputs).unwrap();
-    assert!(form.rest() >= 0.25 + rho && is_near(form.rest(), 0.25 + rho, 1e-11), "{form:?}");
+    let rest = (0.25 + rho) * (1.0 + 0.9 * SLACK);
+    assert!(form.rest() >= rest && is_near(form.rest(), rest, 1e-11), "{form:?}");
 }
 
 #[test]

@@ -262,3 +262,30 @@ fn a_law_whose_numbers_make_no_sense_is_refused() {
 fn a_law_says_how_hard_its_vehicle_accelerates_at_most() {
     assert_eq!([Law::Idm(IDM), Law::AccAeb(ACC)].map(|law| law.max_accel_mps2()), [3.0, 2.5]);
 }
+
+#[test]
+fn a_law_is_said_with_all_of_its_numbers() {
+    let idm = Idm {
+        desired_speed_mps: 30.0,
+        time_headway_s: 1.5,
+        standstill_gap_m: 2.0,
+        accel_mps2: 0.75,
+        comfortable_brake_mps2: 1.625,
+        max_accel_mps2: 3.0,
+    };
+    let of_idm = "drives idm towards 30 m/s with a time headway of 1.5 s, 2 m at standstill, 0.75 and 1.625 m/s²";
+    assert_eq!(Law::Idm(idm).to_string(), of_idm);
+    let acc = AccAeb {
+        ttc_s: 1.4,
+        time_headway_s: 1.25,
+        standstill_gap_m: 3.0,
+        gap_gain_per_s2: 0.25,
+        speed_gain_per_s: 0.5,
+        comfort_brake_mps2: 3.5,
+        comfort_accel_mps2: 2.0,
+        max_accel_mps2: 2.5,
+    };
+    let of_acc = "drives acc-aeb with a time headway of 1.25 s, 3 m at standstill, gains 0.25 and 0.5, from -3.5 to 2 m/s², and full braking while its \
+                  time to collision is below 1.4 s";
+    assert_eq!(Law::AccAeb(acc).to_string(), of_acc);
+}
