@@ -98,6 +98,14 @@ fn what_announces_much_is_given_up() {
     }
 }
 
+#[test]
+fn limits_are_said_in_whole_billions() {
+    for (operations, billions) in [(0, 0), (999_999_999, 0), (1_000_000_000, 1), (7_999_999_999, 7)] {
+        assert_eq!(WorkLimit::operations(operations).in_billions(), billions);
+    }
+    assert_eq!((WorkLimit::billions(3).in_billions(), WorkLimit::default().in_billions()), (3, 4000));
+}
+
 /// Who follows by a law takes operations in every step, however rarely the ego decides: some 300 000 of them here.
 #[test]
 fn who_follows_by_a_law_is_counted() {
