@@ -22,7 +22,7 @@ use crumple_search::work;
 #[command(after_long_help = "\
 Presets:
   fast       masters the paper's task within a minute a seed (default)
-  paper-net  the paper's networks and reward, changed only where needed to converge
+  paper-net  the paper's networks and reward, changed where it cannot learn: gets there, and does not stay
   paper      the paper's setting, literally: hours, and no promise
   road       safe in emergencies and of use in traffic: all built-in spaces, TD3, costs for discomfort and for being in the way
 

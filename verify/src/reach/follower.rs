@@ -14,8 +14,9 @@
 //!   brake does not fire at the start.
 //!
 //! The law is evaluated in forms, so that the follower of a member remembers which ego it followed: a sum costs nothing, a product or a bend the
-//! second order of the width. It sees everything within 10⁻⁹ of the truth, since that is what it sees in double precision. What that adds within a decision interval belongs to no symbol; at the decision it becomes symbols, like what
-//! is uncertain about the ego. Where the emergency brake of `acc-aeb` may fire or not, the acceleration is any number in between.
+//! second order of the width. It sees everything within 10⁻⁹ of the truth, since that is what it sees in double precision. What all that adds
+//! within a decision interval belongs to no symbol; at the decision it becomes symbols, like what is uncertain about the ego. Where the emergency
+//! brake of `acc-aeb` may fire or not, the acceleration is any number in between.
 
 use std::fmt;
 

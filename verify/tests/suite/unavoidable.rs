@@ -137,16 +137,20 @@ fn standing_leader(gap_m: f64) -> Scene {
     }
 }
 
-/// Ahead at 0.1 s, behind at 0.2 s: q = (0.2 - t)⁺ y2 - (0.1 - t)⁺ y1 with y1 = 3, y2 = 1 changes sign at 0.05 s.
-#[test]
-fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
-    let follower = Follower {
-        position_m: Interval::point(-2.0),
-        speed_mps: Interval::ZERO,
+fn follower_at(position_m: f64, speed_mps: f64) -> Follower {
+    Follower {
+        position_m: Interval::point(position_m),
+        speed_mps: Interval::point(speed_mps),
         brake_mps2: Interval::point(6.0),
         ttc_s: 1.0,
         reaction_steps: 0,
-    };
+    }
+}
+
+/// Ahead at 0.1 s, behind at 0.2 s: q = (0.2 - t)⁺ y2 - (0.1 - t)⁺ y1 with y1 = 3, y2 = 1 changes sign at 0.05 s.
+#[test]
+fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
+    let follower = follower_at(-2.0, 0.0);
     let scene = Scene { follower: Some(follower), ..standing_leader(1.0) };
     let branch = Branch { last: 10, front: vec![(2, 1.0)], rear: vec![(1, 3.0)], ..Branch::default() };
     // Constant: -1 from the leader, 3 (-2 + 2) from the follower; x0 = 0; v0 (0.2 - 0.3) = -2.
@@ -160,13 +164,7 @@ fn a_change_of_sign_inside_a_step_is_integrated_exactly() {
 
 #[test]
 fn what_would_prove_anything_is_refused() {
-    let follower = Follower {
-        position_m: Interval::point(-9.0),
-        speed_mps: Interval::point(20.0),
-        brake_mps2: Interval::point(6.0),
-        ttc_s: 1.0,
-        reaction_steps: 0,
-    };
+    let follower = follower_at(-9.0, 20.0);
     let sound = |scene: Scene| Unavoidable {
         branches: match scene.follower {
             None => vec![Branch { last: 10, front: vec![(1, 1.0)], ..Branch::default() }],
@@ -295,13 +293,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
 /// Who stands behind never brakes: a branch in which it does has no member, and counts for nothing.
 #[test]
 fn a_branch_that_nobody_is_in_takes_nothing_away() {
-    let follower = Follower {
-        position_m: Interval::point(-50.0),
-        speed_mps: Interval::ZERO,
-        brake_mps2: Interval::point(6.0),
-        ttc_s: 1.0,
-        reaction_steps: 0,
-    };
+    let follower = follower_at(-50.0, 0.0);
     let fires = |k: u32| Branch { first: k, last: k, fired: 1.0, ..Branch::default() };
     let branches: Vec<Branch> = (0..5).map(fires).chain([at_the_end(5)]).collect();
     let scene = |gap_m: f64| stopping(gap_m, Some(follower.clone()));
@@ -350,13 +342,7 @@ fn an_overlap_that_is_proved_is_more_than_nothing() {
 /// What a statement about a scene announces: instants 0 to N, each of its vehicles, in each branch.
 #[test]
 fn work_is_counted_for_every_instant_and_vehicle() {
-    let follower = Follower {
-        position_m: Interval::point(-50.0),
-        speed_mps: Interval::ZERO,
-        brake_mps2: Interval::point(6.0),
-        ttc_s: 1.0,
-        reaction_steps: 0,
-    };
+    let follower = follower_at(-50.0, 0.0);
     for (egos, follower, vehicles) in [(1, None, 2), (1, Some(follower.clone()), 3), (3, Some(follower), 5)] {
         let mut scene = stopping(20.0, follower);
         scene.egos = vec![scene.egos[0].clone(); egos];

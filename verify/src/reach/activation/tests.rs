@@ -1,29 +1,20 @@
 //! Lines against what is computed, and against closed forms.
 
 use super::*;
+use num_traits::Float;
 use proptest::prelude::*;
 
-/// What it makes of a number, as a network does in single precision.
-fn computed(each: &Each, x: f32) -> f32 {
-    let of = |operands: &[f64]| operands[0] as f32;
+/// What it makes of a number: in single precision, as a network computes it, or in double for real numbers.
+fn value<F: Float>(each: &Each, x: F) -> F {
+    let number_of = |number: f64| F::from(number).unwrap();
+    let of = |operands: &[f64]| number_of(operands[0]);
+    let below = |value: F| if x < F::zero() { value } else { x };
     match each {
-        Each::Relu => x.max(0.0),
-        Each::LeakyRelu(slope) => {
-            if x < 0.0 {
-                *slope as f32 * x
-            } else {
-                x
-            }
-        }
-        Each::Elu(alpha) => {
-            if x < 0.0 {
-                *alpha as f32 * x.exp_m1()
-            } else {
-                x
-            }
-        }
+        Each::Relu => x.max(F::zero()),
+        Each::LeakyRelu(slope) => below(number_of(*slope) * x),
+        Each::Elu(alpha) => below(number_of(*alpha) * x.exp_m1()),
         Each::Tanh => x.tanh(),
-        Each::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+        Each::Sigmoid => F::one() / (F::one() + (-x).exp()),
         Each::Add(operands) => x + of(operands),
         Each::Multiply(operands) => x * of(operands),
         Each::Divide(operands) => x / of(operands),
@@ -49,34 +40,6 @@ fn any_each() -> impl Strategy<Value = Each> {
         (any_single(3.0), 0.0..3.0_f32)
             .prop_map(move |(low, more)| { Each::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
     ]
-}
-
-/// The same in real numbers.
-fn value(each: &Each, x: f64) -> f64 {
-    let of = |operands: &[f64]| operands[0];
-    match each {
-        Each::Relu => x.max(0.0),
-        Each::LeakyRelu(slope) => {
-            if x < 0.0 {
-                slope * x
-            } else {
-                x
-            }
-        }
-        Each::Elu(alpha) => {
-            if x < 0.0 {
-                alpha * x.exp_m1()
-            } else {
-                x
-            }
-        }
-        Each::Tanh => x.tanh(),
-        Each::Sigmoid => 1.0 / (1.0 + (-x).exp()),
-        Each::Add(operands) => x + of(operands),
-        Each::Multiply(operands) => x * of(operands),
-        Each::Divide(operands) => x / of(operands),
-        Each::Clip { low, high } => x.max(of(low)).min(of(high)),
-    }
 }
 
 /// Where a function less a line of this slope may be extreme, besides at the ends.
@@ -121,7 +84,7 @@ proptest! {
         let line = each.line(0, low, high);
         for at in 0..=20 {
             let x = (low + (high - low) * f64::from(at) / 20.0).clamp(low, high) as f32;
-            let (found, on_line) = (f64::from(computed(&each, x)), line.slope * f64::from(x));
+            let (found, on_line) = (f64::from(value(&each, x)), line.slope * f64::from(x));
             let slack = line.rounding + 1e-15 * (1.0 + found.abs() + on_line.abs());
             let off = found - on_line;
             prop_assert!(off >= line.low - slack && off <= line.high + slack, "{each:?} at {x}: {off} {line:?}");
