@@ -32,9 +32,18 @@ pub fn batch(count: usize) -> Batch {
     let mut stream = stream(1, Purpose::ReplayDraw, 0);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let seen: [f32; 2 * STATE] = std::array::from_fn(|_| stream.random_range(-1.0..1.0));
+        let mut seen = || -> [f32; STATE] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
+        let (state, next_state) = (seen(), seen());
         let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
-        batch.push(&Transition { seen: &seen, action, reward, continues: true, contact: false });
+        batch.push(&Transition {
+            state: &state,
+            next_state: &next_state,
+            privileged: &[],
+            action,
+            reward,
+            continues: true,
+            contact: false,
+        });
     }
     batch
 }

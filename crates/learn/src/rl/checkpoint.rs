@@ -182,8 +182,7 @@ impl Trainer {
             part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
         }
         let replay = numbers(&arrays, "replay")?;
-        let history = config.environment.observation.history as usize;
-        trainer.replay = Replay::from_numbers(config.replay.capacity, history, header.stored, &replay)
+        trainer.replay = Replay::from_numbers(config.replay.capacity, config.remembered(), header.stored, &replay)
             .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::blend::{self, SpaceShare};
 use super::observation::ObservationConfig;
+use super::privileged::PRIVILEGED;
+use super::replay::Remembered;
 use super::reward::CostConfig;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
@@ -123,9 +125,49 @@ pub struct LearningConfig {
     pub batch: usize,
     /// Decisions between updates.
     pub decisions_per_update: u32,
+    /// Whether critics know besides what no driver sees: friction, what brakes and delays there are, who drives behind, what the leader's
+    /// script does next, and how many times costs count.
+    #[serde(default, skip_serializing_if = "is_not")]
+    pub privileged_critic: bool,
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
     pub saturation_penalty: f32,
+    /// How Adam's step sizes fall; without it they stay.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rates_fall: Option<RatesFall>,
+}
+
+impl LearningConfig {
+    /// Numbers that critics know besides what the actor sees.
+    pub(super) fn privileged(&self) -> usize {
+        if self.privileged_critic { PRIVILEGED } else { 0 }
+    }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_not(flag: &bool) -> bool {
+    !*flag
+}
+
+/// Step sizes that fall in a straight line from the end of the random episodes on: a training that goes to and fro around what is
+/// good comes to rest there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RatesFall {
+    /// Episode from which on they fall no further. It does not depend on how many episodes there are, so that a training that goes on
+    /// with more of them goes on as it began.
+    pub until_episode: u64,
+    /// Share of them that is left then.
+    pub to_share: f64,
+}
+
+impl RatesFall {
+    /// Share of the step sizes in an episode, counted from 0, of a training that began with so many random ones.
+    pub(super) fn share(&self, episode: u64, random_episodes: u64) -> f64 {
+        let falling = self.until_episode.saturating_sub(random_episodes).max(1);
+        let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
+        1.0 + (self.to_share - 1.0) * progress.min(1.0)
+    }
 }
 
 /// Noise on actions.
@@ -264,6 +306,11 @@ impl TrainingConfig {
         Ok(config)
     }
 
+    /// What is remembered of a decision.
+    pub(super) fn remembered(&self) -> Remembered {
+        Remembered { state: self.environment.observation.width(), privileged: self.learning.privileged() }
+    }
+
     /// What its episodes are drawn from.
     ///
     /// # Errors
@@ -306,6 +353,10 @@ impl TrainingConfig {
         within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
         within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
         within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
+        if let Some(fall) = &self.learning.rates_fall {
+            within("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
+            within("learning.rates_fall.to_share", fall.to_share, [0.0, 1.0])?;
+        }
         within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
         within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
         within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
@@ -339,6 +390,15 @@ mod tests {
             assert_eq!(TrainingConfig::preset(name).unwrap().name, name);
         }
         assert!(TrainingConfig::preset("slow").is_err());
+    }
+
+    #[test]
+    fn steps_become_smaller_from_the_end_of_the_random_episodes_on() {
+        let fall = RatesFall { until_episode: 300, to_share: 0.2 };
+        for (episode, share) in [(0, 1.0), (100, 1.0), (150, 0.8), (200, 0.6), (300, 0.2), (9000, 0.2)] {
+            assert!((fall.share(episode, 100) - share).abs() < 1e-12, "{episode}");
+        }
+        assert_eq!(RatesFall { until_episode: 50, to_share: 0.5 }.share(101, 100), 0.5);
     }
 
     #[test]

@@ -42,6 +42,8 @@ pub struct Learner {
     pub updates: u64,
     /// Numbers that the actor sees.
     inputs: usize,
+    /// Share of the step sizes that updates make at present.
+    pub(super) rate_share: f32,
     learning: LearningConfig,
     td3: Td3Config,
     space: Space,
@@ -88,9 +90,10 @@ impl Learner {
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
             actor: fresh(0, inputs),
-            critics: (1..=critics).map(|index| fresh(index, inputs + 1)).collect(),
+            critics: (1..=critics).map(|index| fresh(index, inputs + learning.privileged() + 1)).collect(),
             updates: 0,
             inputs,
+            rate_share: 1.0,
             learning: learning.clone(),
             td3: td3.clone(),
             space: Space::default(),
@@ -121,7 +124,8 @@ impl Learner {
             let found = self.critic_gradient(index, batch);
             let Trained { network, target, adam } = &mut self.critics[index];
             let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.soft_update));
-            adam.step(network.parameters_mut(), &self.space.critic_gradients, self.learning.critic_rate, follow);
+            let rate = self.rate_share * self.learning.critic_rate;
+            adam.step(network.parameters_mut(), &self.space.critic_gradients, rate, follow);
             if index == 0 {
                 losses = found;
             }
@@ -130,7 +134,8 @@ impl Learner {
             self.actor_gradient(batch);
             let Trained { network, target, adam } = &mut self.actor;
             let follow = Some((target.parameters_mut(), self.learning.soft_update));
-            adam.step(network.parameters_mut(), &self.space.actor_gradients, self.learning.actor_rate, follow);
+            let rate = self.rate_share * self.learning.actor_rate;
+            adam.step(network.parameters_mut(), &self.space.actor_gradients, rate, follow);
         }
         self.updates += 1;
         losses
@@ -150,7 +155,7 @@ impl Learner {
             }
         }
         for (index, critic) in self.critics.iter().enumerate() {
-            let fill = |input: &mut Vec<f32>| beside(&batch.next_states, actions, input);
+            let fill = |input: &mut Vec<f32>| beside([&batch.next_states, &batch.next_privileged], actions, input);
             let values = target.forward(&critic.target, batch.len(), fill);
             if index == 0 {
                 td_targets.clear();
@@ -169,7 +174,7 @@ impl Learner {
     fn critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
         let Space { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.space;
         let network = &self.critics[index].network;
-        let fill = |input: &mut Vec<f32>| beside(&batch.states, &batch.actions, input);
+        let fill = |input: &mut Vec<f32>| beside([&batch.states, &batch.privileged], &batch.actions, input);
         let values = tape.forward(network, batch.len(), fill);
         let n = batch.len() as f64;
         let mut losses = Losses::default();
@@ -191,7 +196,7 @@ impl Learner {
         let Space { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
         let critic = &self.critics[0].network;
         let n = batch.len() as f32;
-        tape.forward(critic, batch.len(), |input| beside(&batch.states, actions, input));
+        tape.forward(critic, batch.len(), |input| beside([&batch.states, &batch.privileged], actions, input));
         value_gradients.clear();
         value_gradients.resize(batch.len(), -1.0 / n);
         let mut by_action = vec![0.0; batch.len()];
@@ -222,11 +227,13 @@ impl Learner {
     }
 }
 
-/// Rows of states with the action as last number.
-fn beside(states: &[f32], actions: &[f32], input: &mut Vec<f32>) {
-    let width = states.len() / actions.len().max(1);
-    for (state, &action) in states.chunks_exact(width.max(1)).zip(actions) {
-        input.extend_from_slice(state);
+/// Rows of states, of what else critics know, and the action as last number.
+fn beside(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
+    let widths = known.map(|rows| rows.len() / actions.len().max(1));
+    for (row, &action) in actions.iter().enumerate() {
+        for (rows, width) in known.iter().zip(widths) {
+            input.extend_from_slice(&rows[row * width..(row + 1) * width]);
+        }
         input.push(action);
     }
 }

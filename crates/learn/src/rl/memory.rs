@@ -1,7 +1,6 @@
 //! What a training will take of memory, before it takes any.
 
 use super::config::{ConfigError, TrainingConfig};
-use super::replay::numbers;
 
 /// Most memory of a training with one seed: several seeds at once take that much each.
 const MOST_BYTES: u64 = 4 << 30;
@@ -23,11 +22,12 @@ fn bytes(config: &TrainingConfig) -> u64 {
     };
     let critics = if config.td3.twin_critic { 2 } else { 1 };
     let seen = config.environment.observation.width();
-    let networks = parameters(seen).saturating_add(parameters(seen + 1).saturating_mul(critics));
+    let known = seen + config.learning.privileged() + 1;
+    let networks = parameters(seen).saturating_add(parameters(known).saturating_mul(critics));
     let widths = config.network.hidden.iter().fold(0, |sum: u64, &width| sum.saturating_add(width as u64));
     let space = widths.saturating_mul(config.learning.batch as u64).saturating_mul(TAPES);
     let floats = networks.saturating_mul(COPIES).saturating_add(space);
-    let remembered = numbers(config.environment.observation.history as usize) as u64;
+    let remembered = config.remembered().numbers() as u64;
     let remembered = remembered.saturating_mul(config.replay.capacity as u64);
     floats.saturating_add(remembered).saturating_mul(size_of::<f32>() as u64)
 }

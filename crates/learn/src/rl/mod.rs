@@ -21,6 +21,7 @@ mod memory;
 mod observation;
 #[cfg(any(test, feature = "oracle"))]
 pub mod oracle;
+mod privileged;
 mod replay;
 mod reward;
 mod seeds;
@@ -33,7 +34,7 @@ pub use adam::Adam;
 pub use blend::{SpaceShare, WeightedSpaces};
 pub use config::{
     ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
-    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig, json_schema,
+    RatesFall, ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig, json_schema,
 };
 pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
 pub use environment::{Consequence, Ending, Episode, Terms, bounds};
@@ -41,7 +42,7 @@ pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};
 pub use observation::{Inputs, ObservationConfig, Scale};
-pub use replay::{Batch, Replay, Transition};
+pub use replay::{Batch, Remembered, Replay, Transition};
 pub use reward::CostConfig;
 pub use seeds::{Event, Observer, side_by_side, train};
 pub use shard::{GatherError, MergedTrainings, TrainingShard, is_of_trainings};

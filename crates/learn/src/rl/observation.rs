@@ -20,19 +20,23 @@ pub struct ObservationConfig {
     pub empty_gap_m: f64,
     /// Decisions whose numbers the networks see, the present one included: with 4, those of the present and of three decisions before.
     /// Before the first decision the world is taken to have been as it was then.
-    #[serde(default = "present_alone", skip_serializing_if = "is_present_alone")]
+    #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history: u32,
+    /// Decisions from one of them to the next: with 5, and decisions 0.1 s apart, what was seen is half a second apart, and the least noise does not
+    /// hide how speeds have changed.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub history_every: u32,
     /// What is seen.
     pub inputs: Inputs,
 }
 
-fn present_alone() -> u32 {
+fn one() -> u32 {
     1
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_present_alone(history: &u32) -> bool {
-    *history == 1
+fn is_one(count: &u32) -> bool {
+    *count == 1
 }
 
 /// What is seen, and how each number is scaled; none for what is not.
@@ -109,7 +113,8 @@ impl Inputs {
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        let ObservationScaling { offset, scale, limit, empty_gap_m, history: _ } = ObservationScaling::default();
+        let ObservationScaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } =
+            ObservationScaling::default();
         let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| Scale { offset, scale });
         let inputs = Inputs {
             gap_ahead_m: all.next(),
@@ -121,7 +126,7 @@ impl Default for ObservationConfig {
             acceleration_mps2: all.next(),
             acceleration_behind_mps2: all.next(),
         };
-        Self { limit, empty_gap_m, history: present_alone(), inputs }
+        Self { limit, empty_gap_m, history: one(), history_every: one(), inputs }
     }
 }
 
@@ -136,6 +141,11 @@ impl ObservationConfig {
         STATE * self.history as usize
     }
 
+    /// How far back its networks look: at so many decisions, each so many after the one before it.
+    pub(super) fn back(&self) -> [usize; 2] {
+        [self.history as usize, self.history_every as usize]
+    }
+
     /// What a policy file carries of it.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
@@ -146,6 +156,7 @@ impl ObservationConfig {
             limit: self.limit,
             empty_gap_m: self.empty_gap_m,
             history: self.history as usize,
+            history_every: self.history_every as usize,
         }
     }
 
@@ -158,6 +169,7 @@ impl ObservationConfig {
             ("environment.observation.limit", self.limit, [0.1, 1000.0]),
             ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
             ("environment.observation.history", f64::from(self.history), [1.0, LONGEST_HISTORY as f64]),
+            ("environment.observation.history_every", f64::from(self.history_every), [1.0, LONGEST_HISTORY as f64]),
         ];
         whole.into_iter().chain(inputs)
     }

@@ -98,6 +98,8 @@ struct Rows {
     actions: Tensor,
     rewards: Tensor,
     next_states: Tensor,
+    /// What critics know besides, now and next.
+    privileged: [Tensor; 2],
     continues: Tensor,
 }
 
@@ -110,6 +112,10 @@ impl Rows {
             actions: rows(&batch.actions, 1)?,
             rewards: rows(&batch.rewards, 1)?,
             next_states: rows(&batch.next_states, batch.next_states.len() / batch.len().max(1))?,
+            privileged: [
+                rows(&batch.privileged, batch.privileged.len() / batch.len().max(1))?,
+                rows(&batch.next_privileged, batch.next_privileged.len() / batch.len().max(1))?,
+            ],
             continues: rows(&batch.continues, 1)?,
         })
     }
@@ -144,7 +150,7 @@ impl Oracle {
             let smoothing = (normals * f64::from(self.td3.target_noise))?.clamp(-limit, limit)?;
             actions = (actions + smoothing)?.clamp(-1_f32, 1_f32)?;
         }
-        let states_and_actions = Tensor::cat(&[&rows.next_states, &actions], 1)?;
+        let states_and_actions = Tensor::cat(&[&rows.next_states, &rows.privileged[1], &actions], 1)?;
         let mut values: Option<Tensor> = None;
         for critic in &self.critics {
             let value = critic.target.forward(&states_and_actions)?;
@@ -158,13 +164,14 @@ impl Oracle {
     }
 
     fn critic_loss(&self, critic: &Pair, rows: &Rows, td_targets: &Tensor) -> Result<(Tensor, Tensor)> {
-        let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.actions], 1)?)?;
+        let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &rows.actions], 1)?)?;
         Ok(((&values - td_targets)?.sqr()?.mean_all()?, values))
     }
 
     fn actor_loss(&self, rows: &Rows) -> Result<Tensor> {
         let raw = self.actor.network.forward(&rows.states)?;
-        let values = self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &raw.tanh()?], 1)?)?;
+        let values =
+            self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &raw.tanh()?], 1)?)?;
         let beyond = (raw.abs()? - 1.0)?.relu()?.sqr()?.mean_all()?;
         (beyond * f64::from(self.learning.saturation_penalty))? - values.mean_all()?
     }

@@ -4,14 +4,17 @@ use std::collections::VecDeque;
 
 use rand::RngExt;
 
-use crumple_world::policy::STATE;
 use crumple_world::random::Stream;
 
 /// One decision and what came of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transition<'a> {
-    /// What was seen at the decision and those before that the networks look back on, oldest first, and then what was seen next.
-    pub seen: &'a [f32],
+    /// What the networks saw at the decision.
+    pub state: &'a [f32],
+    /// What they saw at the next one.
+    pub next_state: &'a [f32],
+    /// What critics know besides at the decision, and then what they know next; empty if they see what the actor sees.
+    pub privileged: &'a [f32],
     /// What was done, between -1 and 1.
     pub action: f32,
     /// Scaled reward.
@@ -25,9 +28,20 @@ pub struct Transition<'a> {
 /// Numbers of a transition beside what is seen: action, reward, whether it continues, whether it is a contact.
 const BESIDE: usize = 4;
 
-/// Numbers that are remembered of a transition whose networks look back on `history` decisions.
-pub(super) fn numbers(history: usize) -> usize {
-    (history + 1) * STATE + BESIDE
+/// What is remembered of a transition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Remembered {
+    /// Numbers that the networks see at each decision.
+    pub state: usize,
+    /// Numbers that critics know besides at each decision.
+    pub privileged: usize,
+}
+
+impl Remembered {
+    /// All numbers of a transition.
+    pub(super) fn numbers(self) -> usize {
+        2 * (self.state + self.privileged) + BESIDE
+    }
 }
 
 impl<'a> Transition<'a> {
@@ -36,9 +50,19 @@ impl<'a> Transition<'a> {
         [self.action, self.reward, flag(self.continues), flag(self.contact)]
     }
 
-    fn from_numbers(numbers: &'a [f32]) -> Option<Self> {
-        let (seen, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
-        Some(Self { seen, action, reward, continues: continues != 0.0, contact: contact != 0.0 })
+    fn from_numbers(numbers: &'a [f32], width: usize) -> Option<Self> {
+        let (known, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
+        let (state, known) = known.split_at_checked(width)?;
+        let (next_state, privileged) = known.split_at_checked(width)?;
+        Some(Self {
+            state,
+            next_state,
+            privileged,
+            action,
+            reward,
+            continues: continues != 0.0,
+            contact: contact != 0.0,
+        })
     }
 }
 
@@ -46,6 +70,7 @@ impl<'a> Transition<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replay {
     capacity: usize,
+    remembered: Remembered,
     /// Numbers of a transition.
     width: usize,
     /// Transitions ever stored.
@@ -61,12 +86,16 @@ pub struct Replay {
 pub struct Batch {
     /// States, row after row.
     pub states: Vec<f32>,
+    /// What critics know besides, row after row; empty if nothing.
+    pub privileged: Vec<f32>,
     /// Actions.
     pub actions: Vec<f32>,
     /// Rewards.
     pub rewards: Vec<f32>,
     /// Next states, row after row.
     pub next_states: Vec<f32>,
+    /// What critics know besides then, row after row.
+    pub next_privileged: Vec<f32>,
     /// 1 where the value of the next state counts, else 0.
     pub continues: Vec<f32>,
 }
@@ -85,30 +114,38 @@ impl Batch {
     }
 
     fn clear(&mut self) {
-        for array in
-            [&mut self.states, &mut self.actions, &mut self.rewards, &mut self.next_states, &mut self.continues]
-        {
+        for array in [
+            &mut self.states,
+            &mut self.privileged,
+            &mut self.actions,
+            &mut self.rewards,
+            &mut self.next_states,
+            &mut self.next_privileged,
+            &mut self.continues,
+        ] {
             array.clear();
         }
     }
 
     /// Adds a transition.
     pub fn push(&mut self, transition: &Transition<'_>) {
-        let seen = transition.seen;
-        self.states.extend_from_slice(&seen[..seen.len().saturating_sub(STATE)]);
+        self.states.extend_from_slice(transition.state);
         self.actions.push(transition.action);
         self.rewards.push(transition.reward);
-        self.next_states.extend_from_slice(seen.get(STATE..).unwrap_or_default());
+        self.next_states.extend_from_slice(transition.next_state);
+        let (now, next) = transition.privileged.split_at(transition.privileged.len() / 2);
+        self.privileged.extend_from_slice(now);
+        self.next_privileged.extend_from_slice(next);
         self.continues.push(f32::from(u8::from(transition.continues)));
     }
 }
 
 impl Replay {
-    /// An empty memory for `capacity` transitions of networks that look back on `history` decisions, the present one included.
+    /// An empty memory for `capacity` transitions.
     #[must_use]
-    pub fn new(capacity: usize, history: usize) -> Self {
-        let width = numbers(history);
-        Self { capacity: capacity.max(1), width, stored: 0, data: Vec::new(), contacts: VecDeque::new() }
+    pub fn new(capacity: usize, remembered: Remembered) -> Self {
+        let width = remembered.numbers();
+        Self { capacity: capacity.max(1), remembered, width, stored: 0, data: Vec::new(), contacts: VecDeque::new() }
     }
 
     /// Number of transitions in memory.
@@ -125,9 +162,10 @@ impl Replay {
 
     /// Remembers a transition, in place of the oldest one if the memory is full.
     pub fn push(&mut self, transition: &Transition<'_>) {
-        debug_assert_eq!(transition.seen.len() + BESIDE, self.width, "as wide as the memory");
         let place = (self.stored % self.capacity as u64) as usize;
-        let numbers = transition.seen.iter().copied().chain(transition.to_numbers()).take(self.width);
+        let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
+        let numbers: Vec<f32> = known.chain(transition.to_numbers()).collect();
+        debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
                 if self.contacts.front() == Some(&(place as u32)) {
@@ -158,7 +196,7 @@ impl Replay {
                 stream.random_range(0..self.len())
             };
             let row = &self.data[place * self.width..(place + 1) * self.width];
-            if let Some(transition) = Transition::from_numbers(row) {
+            if let Some(transition) = Transition::from_numbers(row, self.remembered.state) {
                 batch.push(&transition);
             }
         }
@@ -172,12 +210,13 @@ impl Replay {
 
     /// The memory that [`Replay::to_numbers`] wrote; none if the numbers do not fit each other.
     #[must_use]
-    pub fn from_numbers(capacity: usize, history: usize, stored: u64, numbers: &[f32]) -> Option<Self> {
-        let mut replay = Self { stored, data: numbers.to_vec(), ..Self::new(capacity, history) };
+    pub fn from_numbers(capacity: usize, remembered: Remembered, stored: u64, numbers: &[f32]) -> Option<Self> {
+        let mut replay = Self { stored, data: numbers.to_vec(), ..Self::new(capacity, remembered) };
         if !numbers.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
             return None;
         }
-        let is_contact = |row| Transition::from_numbers(row).is_some_and(|transition| transition.contact);
+        let is_contact =
+            |row| Transition::from_numbers(row, remembered.state).is_some_and(|transition| transition.contact);
         let is_contact: Vec<bool> = numbers.chunks_exact(replay.width).map(is_contact).collect();
         let oldest = if replay.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
         let places = (oldest..replay.len()).chain(0..oldest);
@@ -193,12 +232,15 @@ mod tests {
     use proptest::prelude::*;
 
     /// Of networks that look back on three decisions.
-    const HISTORY: usize = 3;
-    const SEEN: [f32; (HISTORY + 1) * STATE] = [0.25; (HISTORY + 1) * STATE];
+    const REMEMBERED: Remembered = Remembered { state: 24, privileged: 2 };
+    const SEEN: [f32; REMEMBERED.state] = [0.25; REMEMBERED.state];
+    const PRIVILEGED: [f32; 2 * REMEMBERED.privileged] = [0.5; 2 * REMEMBERED.privileged];
 
     fn numbered(number: usize) -> Transition<'static> {
         Transition {
-            seen: &SEEN,
+            state: &SEEN,
+            next_state: &SEEN,
+            privileged: &PRIVILEGED,
             action: 0.5,
             reward: number as f32,
             continues: !number.is_multiple_of(7),
@@ -210,23 +252,23 @@ mod tests {
         /// The memory is always the last `capacity` transitions; contacts among them are known; it survives a checkpoint.
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
-            let mut replay = Replay::new(capacity, HISTORY);
+            let mut replay = Replay::new(capacity, REMEMBERED);
             (0..count).for_each(|number| replay.push(&numbered(number)));
             let kept = count.saturating_sub(capacity)..count;
-            let reward = |place: usize| replay.data[place * replay.width + SEEN.len() + 1] as usize;
+            let reward = |place: usize| replay.data[place * replay.width + 2 * SEEN.len() + PRIVILEGED.len() + 1] as usize;
             let mut rewards: Vec<usize> = (0..replay.len()).map(reward).collect();
             rewards.sort_unstable();
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());
             let contacts: Vec<usize> = replay.contacts.iter().map(|&p| reward(p as usize)).collect();
             prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
             let (stored, numbers) = replay.to_numbers();
-            prop_assert_eq!(Replay::from_numbers(capacity, HISTORY, stored, &numbers), Some(replay));
+            prop_assert_eq!(Replay::from_numbers(capacity, REMEMBERED, stored, &numbers), Some(replay));
         }
     }
 
     #[test]
     fn draws_are_uniform_and_contacts_get_their_share() {
-        let mut replay = Replay::new(70, HISTORY);
+        let mut replay = Replay::new(70, REMEMBERED);
         (0..70).for_each(|number| replay.push(&numbered(number)));
         let mut batch = Batch::default();
         let mut counts = [0_u32; 70];

@@ -10,12 +10,13 @@ use super::config::{ConfigError, TimeLimit, TrainingConfig};
 use super::environment::{Ending, Episode, Terms, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};
+use super::privileged::Privileged;
 use super::replay::{Batch, Replay, Transition};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_search::disk::DiskError;
 use crumple_search::work::WorkError;
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::{Network, POLICY_VERSION, Past, Policy, PolicyError, PolicyHeader, STATE};
+use crumple_world::policy::{Network, POLICY_VERSION, Past, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
@@ -141,7 +142,7 @@ impl Trainer {
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
             learner: Learner::new(config, seed),
-            replay: Replay::new(config.replay.capacity, config.environment.observation.history as usize),
+            replay: Replay::new(config.replay.capacity, config.remembered()),
             config: config.clone(),
             seed,
             episode: 0,
@@ -231,12 +232,20 @@ impl Trainer {
             let decay = self.config.exploration.noise_decay.powf(episodes as f64);
             (self.config.exploration.noise * decay) as f32
         });
+        if let Some(fall) = &self.config.learning.rates_fall {
+            self.learner.rate_share = fall.share(index, self.config.exploration.random_episodes) as f32;
+        }
         let (mut sums, mut updates) = (Losses::default(), 0_u32);
         let decisions_held =
             u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
-        let history = self.config.environment.observation.history as usize;
-        let mut seen = Past::default().look_back(history, &episode.state()).to_vec();
+        let back = self.config.environment.observation.back();
+        let mut past = Past::default();
+        let privileged = Privileged::new(&scenario, self.source.costs_times(draws_seed, index));
+        let is_privileged = self.config.learning.privileged_critic;
+        let known_besides = |episode: &Episode<'_, '_>| is_privileged.then(|| privileged.at(episode));
+        let mut state = past.look_back(back, &episode.state()).to_vec();
+        let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {
             let action = match noise {
                 None => {
@@ -247,20 +256,24 @@ impl Trainer {
                 }
                 Some(noise) => {
                     let normal: f32 = StandardNormal.sample(&mut trials);
-                    let chosen = self.learner.act(&seen).first().copied().unwrap_or_default();
+                    let chosen = self.learner.act(&state).first().copied().unwrap_or_default();
                     (chosen + noise * normal).clamp(-1.0, 1.0)
                 }
             };
             let after = episode.decide(action);
-            seen.extend_from_slice(&after.next_state);
+            let next_state = past.look_back(back, &after.next_state);
+            besides.extend(known_besides(&episode).into_iter().flatten());
             self.replay.push(&Transition {
-                seen: &seen,
+                state: &state,
+                next_state,
+                privileged: &besides,
                 action,
                 reward: after.reward,
                 continues: after.continues,
                 contact: after.ending == Ending::Contact,
             });
-            seen.drain(..STATE);
+            state.copy_from_slice(next_state);
+            besides.drain(..besides.len() / 2);
             self.decisions += 1;
             let learning = &self.config.learning;
             let is_due = self.decisions.is_multiple_of(u64::from(learning.decisions_per_update));

@@ -156,7 +156,8 @@ impl Mapping {
     #[must_use]
     pub fn own() -> Self {
         use Quantity as Q;
-        let ObservationScaling { offset, scale, limit, empty_gap_m, history } = ObservationScaling::default();
+        let ObservationScaling { offset, scale, limit, empty_gap_m, history, history_every: _ } =
+            ObservationScaling::default();
         let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
         let order = [
             Q::GapAheadM,

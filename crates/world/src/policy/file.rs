@@ -19,7 +19,7 @@ const MOST_BYTES: u64 = 256 << 20;
 /// Deepest and widest network that is accepted.
 const MOST_LAYERS: usize = 16;
 const WIDEST_LAYER: usize = 4096;
-/// Longest history that a network may see, in decisions.
+/// Most decisions whose numbers a network may see, and most decisions from one of them to the next.
 pub const LONGEST_HISTORY: usize = 64;
 
 /// Why a policy cannot be used.
@@ -211,9 +211,12 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
     if !observation.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
         return wrong("observation.scale", "must be positive".to_owned());
     }
-    if !(1..=LONGEST_HISTORY).contains(&observation.history) {
-        let problem = format!("must be 1 to {LONGEST_HISTORY} decisions, found {}", observation.history);
-        return wrong("observation.history", problem);
+    for (field, decisions) in
+        [("observation.history", observation.history), ("observation.history_every", observation.history_every)]
+    {
+        if !(1..=LONGEST_HISTORY).contains(&decisions) {
+            return wrong(field, format!("must be 1 to {LONGEST_HISTORY} decisions, found {decisions}"));
+        }
     }
     for (field, value) in [
         ("observation.limit", observation.limit),

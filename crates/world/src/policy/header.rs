@@ -52,17 +52,20 @@ pub struct ObservationScaling {
     /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
     pub empty_gap_m: f64,
     /// Decisions whose numbers the network sees, the present one included; 1 for one that sees the present alone.
-    #[serde(default = "present_alone", skip_serializing_if = "is_present_alone")]
+    #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history: usize,
+    /// Decisions from one of them to the next: with 5, and decisions 0.1 s apart, what was seen is half a second apart.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub history_every: usize,
 }
 
-fn present_alone() -> usize {
+fn one() -> usize {
     1
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_present_alone(history: &usize) -> bool {
-    *history == 1
+fn is_one(count: &usize) -> bool {
+    *count == 1
 }
 
 impl Default for ObservationScaling {
@@ -72,7 +75,8 @@ impl Default for ObservationScaling {
             scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
             limit: 4.0,
             empty_gap_m: 80.0,
-            history: present_alone(),
+            history: one(),
+            history_every: one(),
         }
     }
 }

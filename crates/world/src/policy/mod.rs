@@ -129,7 +129,7 @@ impl Policy {
     /// What the network sees at a decision: a row of numbers, [`STATE`] for each decision that it looks back on.
     pub fn look<'p>(&self, seen: &Observation, past: &'p mut Past) -> &'p [f32] {
         let scaling = &self.header.observation;
-        past.look_back(scaling.history, &scaling.state(seen))
+        past.look_back([scaling.history, scaling.history_every], &scaling.state(seen))
     }
 
     /// The action chosen at one decision, between -1 and 1, for what the network [sees](Policy::look).

@@ -4,20 +4,29 @@ use super::STATE;
 
 /// What was seen at the last decisions, oldest first; empty before the first.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Past(Vec<f32>);
+pub struct Past {
+    seen: Vec<f32>,
+    /// Of those, what is looked back on.
+    row: Vec<f32>,
+}
 
 impl Past {
-    /// Takes in what is seen at a decision, and gives what was seen at the last `history` decisions, this one included, oldest first.
-    /// Before the first decision the world is taken to have been as it was then.
-    pub fn look_back(&mut self, history: usize, now: &[f32; STATE]) -> &[f32] {
-        let row = &mut self.0;
-        match row.len().checked_sub(STATE) {
-            None => *row = now.repeat(history),
+    /// Takes in what is seen at a decision, and gives what was seen at `history` decisions, this one the last of them, each
+    /// `every` after the one before it, oldest first. Before the first decision the world is taken to have been as it was then.
+    pub fn look_back(&mut self, [history, every]: [usize; 2], now: &[f32; STATE]) -> &[f32] {
+        let Self { seen, row } = self;
+        match seen.len().checked_sub(STATE) {
+            None => *seen = now.repeat(history.saturating_sub(1) * every + 1),
             Some(before) => {
-                row.copy_within(STATE.., 0);
-                row[before..].copy_from_slice(now);
+                seen.copy_within(STATE.., 0);
+                seen[before..].copy_from_slice(now);
             }
         }
+        if every == 1 {
+            return seen;
+        }
+        row.clear();
+        row.extend(seen.chunks_exact(STATE).step_by(every).flatten());
         row
     }
 }
@@ -30,8 +39,20 @@ mod tests {
     fn the_oldest_is_forgotten_and_before_the_first_all_was_as_it_was_then() {
         let mut past = Past::default();
         let firsts: Vec<Vec<f32>> = (1..=4_u8)
-            .map(|decision| past.look_back(3, &[f32::from(decision); STATE]).iter().step_by(STATE).copied().collect())
+            .map(|decision| {
+                past.look_back([3, 1], &[f32::from(decision); STATE]).iter().step_by(STATE).copied().collect()
+            })
             .collect();
         assert_eq!(firsts, [[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]);
+    }
+
+    #[test]
+    fn every_third_decision_up_to_the_present_one() {
+        let mut past = Past::default();
+        for decision in 1..=20_u8 {
+            let row = past.look_back([3, 3], &[f32::from(decision); STATE]);
+            let expected = [6, 3, 0].map(|ago| f32::from(decision.saturating_sub(ago).max(1)));
+            assert_eq!(row.iter().step_by(STATE).copied().collect::<Vec<_>>(), expected);
+        }
     }
 }

@@ -8,17 +8,17 @@ use crate::observation::{EstimatorKind, Neighbour};
 
 /// A policy with random weights.
 pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
-    looking_back(1, hidden, decision_interval_s, seed)
+    looking_back([1, 1], hidden, decision_interval_s, seed)
 }
 
 /// A policy with random weights that sees some of its past.
-fn looking_back(history: usize, hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
+fn looking_back([history, history_every]: [usize; 2], hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
     let mut stream = crate::random::Stream::seed_from_u64(seed);
     let header = PolicyHeader {
         version: POLICY_VERSION,
         crumple: "test".to_owned(),
         hidden: hidden.to_vec(),
-        observation: ObservationScaling { history, ..ObservationScaling::default() },
+        observation: ObservationScaling { history, history_every, ..ObservationScaling::default() },
         action: ActionBounds::default(),
         decision_interval_s,
         estimator: EstimatorKind::Kalman,
@@ -56,7 +56,7 @@ proptest! {
 
     #[test]
     fn one_state_and_many_get_the_same_bits(
-        seen in proptest::collection::vec(any_observation(), 1..40), history in 1..5_usize, seed: u64,
+        seen in proptest::collection::vec(any_observation(), 1..40), history in [1..5_usize, 1..5_usize], seed: u64,
     ) {
         let policy = looking_back(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();

@@ -38,9 +38,11 @@ impl Observer<TrainingError> for Diary {
 #[test]
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
     let mut config = small();
-    // What a training holds besides: its policy looks back, and is a mean of weights.
-    config.environment.observation.history = 3;
+    // What a training holds besides: its policy looks back, and is a mean of weights; its critics know more than it sees, and steps become smaller.
+    (config.environment.observation.history, config.environment.observation.history_every) = (3, 2);
     config.evaluation.mean_over_updates = 40;
+    config.learning.privileged_critic = true;
+    config.learning.rates_fall = Some(RatesFall { until_episode: 10, to_share: 0.2 });
     let held_out = HeldOut::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
     let mut diary = Diary::default();

@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 use crate::rl::oracle::Oracle;
+use crate::rl::privileged::PRIVILEGED;
 use crate::rl::*;
 use crumple_world::policy::{Network, STATE};
 use crumple_world::random::{Purpose, Stream, stream};
@@ -17,6 +18,7 @@ fn config(hidden: &[usize]) -> TrainingConfig {
     // Large output weights: every gradient is well above rounding.
     config.network.final_layer_bound = 1.0;
     config.environment.observation.history = 2;
+    config.learning.privileged_critic = true;
     config
 }
 
@@ -28,9 +30,12 @@ fn batch(seed: u64, count: usize) -> Batch {
     let mut stream = Stream::seed_from_u64(seed);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let seen: [f32; SEEN + STATE] = std::array::from_fn(|_| stream.random_range(-1.5..1.5));
+        let mut numbers = |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
+        let (state, next_state, privileged) = (numbers(SEEN), numbers(SEEN), numbers(2 * PRIVILEGED));
         batch.push(&Transition {
-            seen: &seen,
+            state: &state,
+            next_state: &next_state,
+            privileged: &privileged,
             action: stream.random_range(-1.0..1.0),
             reward: stream.random_range(-2.0..1.0),
             continues: stream.random_bool(0.8),
@@ -103,27 +108,31 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     let [actor, actor_target] = [&learner.actor.network, &learner.actor.target].map(|n| double(n.parameters()));
     let [critic, critic_target] = [&critic.network, &critic.target].map(|n| double(n.parameters()));
     let (discount, penalty) = (config.learning.discount, f64::from(config.learning.saturation_penalty));
-    let value = |parameters: &[f64], state: &[f64], action: f64| {
-        forward(critic_sizes, parameters, &[state, &[action]].concat())
+    let value = |parameters: &[f64], state: &[f64], besides: &[f32], action: f64| {
+        forward(critic_sizes, parameters, &[state, &double(besides), &[action]].concat())
     };
+    let [besides, next_besides] = [&batch.privileged, &batch.next_privileged].map(|all| all.chunks_exact(PRIVILEGED));
     let td_targets: Vec<f64> = rows(&batch.next_states)
+        .zip(next_besides)
         .zip(batch.rewards.iter().zip(&batch.continues))
-        .map(|(next, (&reward, &continues))| {
+        .map(|((next, besides), (&reward, &continues))| {
             let action = forward(actor_sizes, &actor_target, &next).tanh();
-            f64::from(reward) + discount * f64::from(continues) * value(&critic_target, &next, action)
+            f64::from(reward) + discount * f64::from(continues) * value(&critic_target, &next, besides, action)
         })
         .collect();
     let n = batch.len() as f64;
     let critic_loss = |parameters: &[f64]| {
-        let errors = rows(&batch.states)
-            .zip(batch.actions.iter().zip(&td_targets))
-            .map(|(state, (&action, goal))| (value(parameters, &state, f64::from(action)) - goal).powi(2));
+        let errors = rows(&batch.states).zip(besides.clone()).zip(batch.actions.iter().zip(&td_targets)).map(
+            |((state, besides), (&action, goal))| {
+                (value(parameters, &state, besides, f64::from(action)) - goal).powi(2)
+            },
+        );
         errors.sum::<f64>() / n
     };
     let actor_loss = |parameters: &[f64]| {
-        let each = rows(&batch.states).map(|state| {
+        let each = rows(&batch.states).zip(besides.clone()).map(|(state, besides)| {
             let raw = forward(actor_sizes, parameters, &state);
-            penalty * (raw.abs() - 1.0).max(0.0).powi(2) - value(&critic, &state, raw.tanh())
+            penalty * (raw.abs() - 1.0).max(0.0).powi(2) - value(&critic, &state, besides, raw.tanh())
         });
         each.sum::<f64>() / n
     };
@@ -187,6 +196,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         let mut config = config(&[32, 32]);
         config.network.final_layer_bound = 3e-3;
         config.environment.observation.history = 1;
+        config.learning.privileged_critic = false;
         (config.learning.discount, config.learning.soft_update) = (0.8, 0.02);
         (config.learning.actor_rate, config.learning.critic_rate) = (1e-3, 3e-3);
         if td3 {
@@ -203,8 +213,15 @@ fn the_optimum_of_a_two_state_problem_is_found() {
                 let sign = if test_cases.random::<bool>() { 1.0_f32 } else { -1.0 };
                 let action: f32 = test_cases.random_range(-1.0..1.0);
                 let reward = 1.0 - (action - 0.5 * sign).powi(2);
-                let seen = [state(sign), state(-sign)].concat();
-                batch.push(&Transition { seen: &seen, action, reward, continues: true, contact: false });
+                batch.push(&Transition {
+                    state: &state(sign),
+                    next_state: &state(-sign),
+                    privileged: &[],
+                    action,
+                    reward,
+                    continues: true,
+                    contact: false,
+                });
             }
             learner.update(&batch, &mut noise);
         }

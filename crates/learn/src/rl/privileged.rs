@@ -1,0 +1,101 @@
+//! What a critic may know that no driver sees: the scenario itself, what its leader is about to do, and what costs count.
+//!
+//! A critic is needed in training alone. One that knows more than the actor values what is done by what comes of it there, and not
+//! by the mean over all scenarios that look alike at the moment; the actor, which sees what it sees, still gets the mean of what
+//! they say (asymmetric actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
+
+use super::environment::{EGO, Episode};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
+
+/// Numbers that a critic knows besides.
+pub(super) const PRIVILEGED: usize = 10;
+
+/// Decelerations are relative to this, in m/s².
+const FULL_BRAKE_MPS2: f64 = 7.5;
+/// How far ahead the leader's script is known, in seconds.
+const AHEAD_S: [f64; 2] = [1.0, 3.0];
+/// Costs count at least this many times, for a logarithm.
+const LEAST_TIMES: f64 = 0.01;
+
+/// What stays as it is throughout an episode, and the script of who leads.
+#[derive(Debug)]
+pub(super) struct Privileged<'s> {
+    scenario: &'s Scenario,
+    of_episode: [f32; PRIVILEGED - AHEAD_S.len()],
+}
+
+impl<'s> Privileged<'s> {
+    /// Of a scenario whose costs count so many times.
+    pub(super) fn new(scenario: &'s Scenario, costs_times: f64) -> Self {
+        let behind = scenario.vehicles().get(EGO + 1);
+        let brake = |index: usize| scenario.usable_brake_mps2(index) / FULL_BRAKE_MPS2;
+        let flag = |is: bool| f64::from(u8::from(is));
+        // `baseline` holds its speed until its emergency brake fires; all others answer to what is ahead of them.
+        let holds_its_speed =
+            behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))));
+        let of_episode = [
+            costs_times.max(LEAST_TIMES).log10(),
+            scenario.spec().environment.friction,
+            brake(EGO - 1),
+            brake(EGO),
+            behind.map_or(0.0, |_| brake(EGO + 1)),
+            behind.map_or(0.0, |vehicle| vehicle.reaction_delay_s),
+            flag(behind.is_some()),
+            flag(holds_its_speed),
+        ];
+        Self { scenario, of_episode: of_episode.map(|number| number as f32) }
+    }
+
+    /// Where its episode is now.
+    pub(super) fn at(&self, episode: &Episode<'_, '_>) -> [f32; PRIVILEGED] {
+        let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
+        let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
+        let [soon, later] = AHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
+            Some((Driver::Profile(script), speed_mps)) => {
+                (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps) / FULL_BRAKE_MPS2) as f32
+            }
+            _ => 0.0,
+        });
+        let [costs, friction, ahead, own, behind, delay, is_there, holds] = self.of_episode;
+        [costs, friction, ahead, own, behind, delay, is_there, holds, soon, later]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::{Terms, TrainingConfig};
+    use crumple_world::scenario::built_in;
+    use crumple_world::scenario::space::built_in_space;
+    use crumple_world::sim::{Run, RunOptions};
+
+    #[test]
+    fn a_critic_knows_the_road_who_drives_and_what_the_leader_will_do() {
+        let config = TrainingConfig::preset("fast").unwrap().environment;
+        // At 25 m/s throughout, with a leader that brakes at 3 m/s² from 1 s on and a lorry that brakes at 6 m/s².
+        let scenario = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
+        let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
+        let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
+        let privileged = Privileged::new(&scenario, 10.0);
+        let expected = |soon: f64, later: f64| {
+            [1.0, 0.5, 0.5, 0.5, 0.4, 0.0, 1.0, 1.0, soon / 7.5, later / 7.5].map(|number| number as f32)
+        };
+        assert_eq!(privileged.at(&episode), expected(0.0, -3.0 * 2.0 / 3.0));
+        (0..5).for_each(|_| _ = episode.decide(0.0));
+        assert_eq!(privileged.at(&episode), expected(-1.5, -3.0 * 2.5 / 3.0));
+        (0..5).for_each(|_| _ = episode.decide(0.0));
+        assert_eq!(privileged.at(&episode), expected(-3.0, -3.0));
+    }
+
+    #[test]
+    fn nobody_behind_is_no_brake_no_delay_and_nobody_who_holds_a_speed() {
+        let scenario = built_in_space("alone").unwrap().draw(1, 2).unwrap();
+        let [costs, .., behind, delay, is_there, holds] = Privileged::new(&scenario, 0.0).of_episode;
+        assert_eq!([costs, behind, delay, is_there, holds], [-2.0, 0.0, 0.0, 0.0, 0.0]);
+        let followed = built_in_space("assisted").unwrap().draw(1, 2).unwrap();
+        let [.., behind, _, is_there, holds] = Privileged::new(&followed, 1.0).of_episode;
+        assert!(behind > 0.0);
+        assert_eq!([is_there, holds], [1.0, 0.0]);
+    }
+}
