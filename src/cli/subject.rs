@@ -38,6 +38,11 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
     Ok(scenario)
 }
 
+/// A seed, for clap.
+pub(super) fn seed(words: &str) -> Result<u64, String> {
+    words.parse().map_err(|_| format!("a seed is a whole number from 0 to {}", u64::MAX))
+}
+
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.
 pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
     let space = find_space(name_or_path).map_err(|error| error.to_string())?;

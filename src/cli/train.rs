@@ -7,11 +7,12 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::preset::Preset;
 use super::simulate::Format;
-use super::{Failure, interrupt, output, progress};
+use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::rl::{
-    Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
-    TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
+    ConfigError, Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig,
+    TrainingError, TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
 use crumple_search::shard::{MissingShards, Shard, as_array};
@@ -56,7 +57,7 @@ pub(super) struct Train {
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds")]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = subject::seed)]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
@@ -154,20 +155,33 @@ impl Train {
     }
 
     fn config(&self) -> Result<TrainingConfig, Failure> {
-        let path = Path::new(&self.preset);
-        let mut config = if path.extension().is_some() {
-            let text = crumple_world::scenario::file::read(path)?;
-            TrainingConfig::parse(&text, path).map_err(Failure::input)?
-        } else {
-            TrainingConfig::preset(&self.preset).map_err(Failure::input)?
-        };
+        let preset = Preset::find(&self.preset)?;
+        let mut config = preset.config.clone();
         config.episodes = self.episodes.unwrap_or(config.episodes);
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
         // What cannot be drawn from is known before a folder is made.
-        config.source().map_err(Failure::input)?;
-        Ok(config)
+        match config.source() {
+            Ok(_) => Ok(config),
+            Err(error) if self.space.is_empty() => Err(preset.failure(error)),
+            Err(error) => Err(self.of_option(&error)),
+        }
+    }
+
+    /// An error of the spaces that options name, by what was written there.
+    fn of_option(&self, error: &ConfigError) -> Failure {
+        let (ConfigError::Field { field, .. } | ConfigError::Range { field, .. }) = error else {
+            return Failure::Input(format!("--space: {error}"));
+        };
+        let index = field.strip_prefix("spaces[").and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
+        let said = error.to_string();
+        let said = said.strip_prefix(&format!("{field}: ")).unwrap_or(&said);
+        let weight = if field.ends_with(".weight") { "the weight " } else { "" };
+        match index.and_then(|index| self.space.get(index)) {
+            Some(share) => Failure::Input(format!("--space {}: {weight}{said}", share.space)),
+            None => Failure::Input(format!("--space: {said}")),
+        }
     }
 
     fn train(
