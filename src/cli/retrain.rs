@@ -74,7 +74,7 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = subject::whole(0..=i64::MAX as u64))]
     seed: u64,
     /// Folder of the retraining; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]

@@ -57,10 +57,10 @@ pub(super) struct Train {
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = subject::seed)]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = subject::whole(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = subject::whole(1..=100_000))]
     seeds: Option<u64>,
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
@@ -72,7 +72,7 @@ pub(super) struct Train {
     #[arg(long)]
     resume: bool,
     /// Episodes at most, instead of the preset's: 1 to 10 000 000
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = subject::whole(1..=10_000_000))]
     episodes: Option<u64>,
     /// How to print what the trained seeds come to
     #[arg(long, value_enum, default_value = "text")]

@@ -162,9 +162,12 @@ mod tests {
         let with =
             |dead_zone, rate_per_s, idm| Departure { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field);
         assert_eq!(with(0.3, 4.0, IdmSettings::default()), Ok(()));
-        assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone"));
-        assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone"));
-        assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s"));
-        assert_eq!(with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }), Err("accel_mps2"));
+        assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s".to_owned()));
+        assert_eq!(
+            with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }),
+            Err("idm.accel_mps2".to_owned())
+        );
     }
 }
