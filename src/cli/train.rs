@@ -40,7 +40,8 @@ gives the same bytes whatever the number of threads, and whether or not it was i
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
 goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
 memory for each seed, as estimated from its networks, batches and replay memory. A seed that diverges, or of which no checkpoint \
-is better than the untrained network, is said to: it leaves no policy of the untrained network behind, and the exit code is 1.
+is better than the untrained network, is named, and the exit code is 1: where nothing was learned no policy is kept, and the other \
+seeds are trained to their ends all the same. What each field of a preset means and what becomes of a training is in docs/training.md.
 
 Examples:
   crumple train --seed 7
@@ -53,7 +54,7 @@ pub(super) struct Train {
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: String,
     /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
-    /// times, and replaces the preset's, with all costs counting once
+    /// times, each space once, and replaces the preset's, with all costs counting once
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
