@@ -11,6 +11,7 @@
 
 use std::error::Error;
 use std::path::Path;
+use std::process::ExitCode;
 
 use crumple::world::control::ControllerSpec;
 use crumple::world::measure::Usefulness;
@@ -21,6 +22,8 @@ use crumple::world::scenario::{
     VehicleSpec,
 };
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trace, simulate_batch};
+
+const USAGE: &str = "usage: behind_recorded RECORDING.csv... CONTROLLER...";
 
 const STEP_S: f64 = 0.01;
 const PIECE_S: f64 = 30.0;
@@ -41,25 +44,59 @@ struct Sums {
     squares: [f64; 2],
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let (recordings, controllers): (Vec<String>, Vec<String>) =
-        std::env::args().skip(1).partition(|argument| argument.ends_with(".csv"));
-    let mut scenarios = Vec::new();
-    for path in &recordings {
-        let recording = load(Path::new(path), None)?;
-        for platoon in &recording.platoons {
-            for leader in 0..platoon.vehicles().len() {
-                scenarios.extend(behind(platoon, leader));
-            }
+fn main() -> ExitCode {
+    match Asked::by(std::env::args().skip(1)).and_then(|asked| measured(&asked)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}; {USAGE}");
+            ExitCode::from(2)
         }
     }
+}
+
+/// What the arguments ask for.
+struct Asked {
+    scenarios: Vec<Scenario>,
+    controllers: Vec<NamedController>,
+}
+
+impl Asked {
+    fn by(arguments: impl Iterator<Item = String>) -> Result<Self, Box<dyn Error>> {
+        let (recordings, names): (Vec<String>, Vec<String>) =
+            arguments.partition(|argument| argument.ends_with(".csv"));
+        if recordings.is_empty() {
+            return Err("which recordings?".into());
+        }
+        if names.is_empty() {
+            return Err("which controllers?".into());
+        }
+        let found = names.iter().map(|name| NamedController::find_and_try(name, Path::new("")));
+        let controllers = found.collect::<Result<_, _>>()?;
+        let mut scenarios = Vec::new();
+        for path in &recordings {
+            let recording = load(Path::new(path), None)?;
+            for platoon in &recording.platoons {
+                for leader in 0..platoon.vehicles().len() {
+                    scenarios.extend(behind(platoon, leader));
+                }
+            }
+        }
+        if scenarios.is_empty() {
+            let problem = format!("nobody leads for {SHORTEST_S} s without a break in {}", recordings.join(", "));
+            return Err(problem.into());
+        }
+        Ok(Self { scenarios, controllers })
+    }
+}
+
+fn measured(Asked { scenarios, controllers }: &Asked) -> Result<(), Box<dyn Error>> {
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for name in &controllers {
-        let sums = driven(&scenarios, name)?;
+    for controller in controllers {
+        let (name, sums) = (&controller.name, driven(scenarios, controller)?);
         let n = sums.runs.max(1) as f64;
         println!(
             "| {name} | {} | {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} |",
@@ -148,9 +185,8 @@ fn scenario(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[
     Scenario::new(spec).inspect_err(|error| eprintln!("left out: vehicle {leader}, sample {first}: {error}")).ok()
 }
 
-fn driven(scenarios: &[Scenario], name: &str) -> Result<Sums, Box<dyn Error>> {
-    let controller = NamedController::find(name, Path::new(""))?;
-    let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Kalman);
+fn driven(scenarios: &[Scenario], controller: &NamedController) -> Result<Sums, Box<dyn Error>> {
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
         let trace = result.trace.as_ref();
@@ -211,5 +247,26 @@ impl Ridden {
             false_brakes,
             driven_s: trace.time_s.last().copied().unwrap_or(0.0),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLATOON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
+
+    #[test]
+    fn arguments_that_make_no_sense_are_named() {
+        let refused = |arguments: &[&str]| {
+            Asked::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+        };
+        assert_eq!(refused(&[]), "which recordings?");
+        assert_eq!(refused(&["idm"]), "which recordings?");
+        assert_eq!(refused(&[PLATOON]), "which controllers?");
+        assert!(refused(&["missing.csv", "idm"]).starts_with("missing.csv: "));
+        assert!(refused(&[PLATOON, "hal"]).contains("`hal`"), "{}", refused(&[PLATOON, "hal"]));
+        let asked = Asked::by([PLATOON, "idm"].into_iter().map(str::to_owned)).unwrap();
+        assert!(!asked.scenarios.is_empty() && asked.controllers.len() == 1);
     }
 }

@@ -3,14 +3,21 @@
 //! ```sh
 //! cargo run --release --example both_sides -- 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
 //! ```
-//! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`.
 //! The first argument is how many draws of each space; the draws are those of a seed that neither trainings nor selections have.
+//! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`. One that begins with `space=`
+//! names a space, and leaves out all others that are not named so: `space=steady`.
+//!
+//! Columns count draws: `hard` with braking harder than 4 m/s² where less than 3 m/s² had a cause, `needless` with braking by more than
+//! 2 m/s² beyond what had a cause, `beyond 2` with braking harder than 2 m/s² where no more than 2 m/s² had a cause
+//! (`NeedlessBraking::harder_than`), `harder` with braking harder than 2 m/s² whatever its cause, if only for a step. What has a cause is
+//! what the measure of braking without cause says (`measure::NeedlessBraking`), which counts what lasts 0.2 s.
 
 use std::error::Error;
 use std::path::Path;
+use std::process::ExitCode;
 
 use crumple::report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Svg};
-use crumple::world::measure::Usefulness;
+use crumple::world::measure::{NeedlessBraking, Usefulness};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -18,6 +25,12 @@ use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simu
 const SEED: u64 = 0x626f_7468;
 /// Draws that are simulated at once: each keeps its motion.
 const BLOCK: u64 = 100;
+/// Most draws of each space: a day's work.
+const MOST_DRAWS: u64 = 1_000_000;
+/// Braking harder than this has to have a cause behind a leader that never brakes, in m/s².
+const FIRM_BRAKE_MPS2: f64 = 2.0;
+
+const USAGE: &str = "usage: both_sides DRAWS CONTROLLER... [FIGURE.svg] [space=SPACE]...";
 
 #[derive(Default)]
 struct Sums {
@@ -25,6 +38,8 @@ struct Sums {
     into_the_leader: u64,
     hard: u64,
     needless: u64,
+    beyond_firm: u64,
+    firm: u64,
     left_behind: u64,
     squares: [f64; 2],
     progress: Vec<f64>,
@@ -36,27 +51,78 @@ struct Sums {
 const EMERGENCIES: &str = "high-risk";
 const TRAFFIC: &str = "traffic";
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
-    let draws: u64 = arguments.next().ok_or("how many draws?")?.parse()?;
-    let (figures, names): (Vec<String>, Vec<String>) = arguments.partition(|argument| argument.ends_with(".svg"));
+fn main() -> ExitCode {
+    match Asked::by(std::env::args().skip(1)).and_then(|asked| measured(&asked)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}; {USAGE}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// What the arguments ask for.
+struct Asked {
+    draws: u64,
+    controllers: Vec<NamedController>,
+    figures: Vec<String>,
+    spaces: Vec<&'static str>,
+}
+
+impl Asked {
+    fn by(mut arguments: impl Iterator<Item = String>) -> Result<Self, Box<dyn Error>> {
+        let draws = arguments.next().ok_or("how many draws?")?;
+        let draws = match draws.parse() {
+            Ok(count) if (1..=MOST_DRAWS).contains(&count) => count,
+            _ => return Err(format!("`{draws}` is no number of draws from 1 to {MOST_DRAWS}").into()),
+        };
+        let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
+        for argument in arguments {
+            if let Some(name) = argument.strip_prefix("space=") {
+                let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
+                spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
+            } else if argument.ends_with(".svg") {
+                figures.push(argument);
+            } else {
+                controllers.push(NamedController::find_and_try(&argument, Path::new(""))?);
+            }
+        }
+        if controllers.is_empty() {
+            return Err("which controllers?".into());
+        }
+        if spaces.is_empty() {
+            spaces.extend(BUILT_IN_SPACES.iter().map(|(name, ..)| *name));
+        }
+        if let Some(missing) =
+            [EMERGENCIES, TRAFFIC].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
+        {
+            return Err(format!("a figure needs the space `{missing}`").into());
+        }
+        Ok(Self { draws, controllers, figures, spaces })
+    }
+}
+
+fn measured(Asked { draws, controllers, figures, spaces }: &Asked) -> Result<(), Box<dyn Error>> {
     println!(
-        "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | progress | time gap s | imposed |"
+        "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
-    let mut front: Vec<(f64, f64)> = vec![(0.0, 0.0); names.len()];
-    for (space, ..) in BUILT_IN_SPACES {
-        for (name, (jerk_mps3, contacts_percent)) in names.iter().zip(&mut front) {
-            let sums = driven(space, name, draws)?;
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut front: Vec<(f64, f64)> = vec![(0.0, 0.0); controllers.len()];
+    for &space in spaces {
+        for (controller, (jerk_mps3, contacts_percent)) in controllers.iter().zip(&mut front) {
+            let (name, draws) = (&controller.name, *draws);
+            let sums = driven(space, controller, draws)?;
             let n = draws as f64;
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
             println!(
-                "| {space} | {name} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | {:.2} |",
+                "| {space} | {name} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | {:.2} |",
                 sums.contacts,
                 sums.into_the_leader,
                 sums.hard,
                 sums.needless,
+                sums.beyond_firm,
+                sums.firm,
                 sums.left_behind,
                 (sums.squares[0] / n).sqrt(),
                 mean(&sums.progress),
@@ -70,8 +136,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
     }
+    let names: Vec<_> = controllers.iter().map(|controller| controller.name.clone()).collect();
     for file in figures {
-        std::fs::write(&file, drawn(&names, &front, draws).document())?;
+        std::fs::write(file, drawn(&names, &front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
@@ -100,10 +167,17 @@ fn drawn(names: &[String], front: &[(f64, f64)], draws: u64) -> Svg {
     Svg::new("front", (LEFT + 24.0 + 640.0 + 24.0, HEADING + 360.0 + BELOW), title, &description, content)
 }
 
-fn driven(space: &str, name: &str, draws: u64) -> Result<Sums, Box<dyn Error>> {
+/// Braking harder than [`FIRM_BRAKE_MPS2`] in a run.
+struct Firm {
+    /// Where no more than that had a cause.
+    is_beyond: bool,
+    /// Whatever its cause.
+    is_there: bool,
+}
+
+fn driven(space: &str, controller: &NamedController, draws: u64) -> Result<Sums, Box<dyn Error>> {
     let space = built_in_space(space).ok_or("no such space")?;
-    let controller = NamedController::find(name, Path::new(""))?;
-    let options = RunOptions::new(controller.kind).with_estimator(EstimatorKind::Kalman);
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let mut sums = Sums::default();
     for from in (0..draws).step_by(BLOCK as usize) {
         let scenarios =
@@ -111,9 +185,16 @@ fn driven(space: &str, name: &str, draws: u64) -> Result<Sums, Box<dyn Error>> {
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
-            (result.outcome.contact().copied(), useful)
+            let firm = result.trace.as_ref().map(|trace| Firm {
+                is_beyond: NeedlessBraking::harder_than(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
+                    .is_some_and(|beyond| !beyond.is_none()),
+                is_there: trace.vehicles[1].acceleration_mps2.iter().any(|&mps2| mps2 < -FIRM_BRAKE_MPS2),
+            });
+            (result.outcome.contact().copied(), useful, firm)
         });
-        for (contact, useful) in results {
+        for (contact, useful, firm) in results {
+            sums.beyond_firm += u64::from(firm.as_ref().is_some_and(|firm| firm.is_beyond));
+            sums.firm += u64::from(firm.is_some_and(|firm| firm.is_there));
             sums.contacts += u64::from(contact.is_some());
             sums.into_the_leader += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
             let Some(useful) = useful else { continue };
@@ -129,4 +210,28 @@ fn driven(space: &str, name: &str, draws: u64) -> Result<Sums, Box<dyn Error>> {
         }
     }
     Ok(sums)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(arguments: &[&str]) -> String {
+        Asked::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+    }
+
+    #[test]
+    fn arguments_that_make_no_sense_are_named() {
+        assert_eq!(refused(&[]), "how many draws?");
+        for draws in ["policy", "0", "-1", "1.5", "1000001", ""] {
+            assert_eq!(refused(&[draws, "idm"]), format!("`{draws}` is no number of draws from 1 to 1000000"));
+        }
+        assert_eq!(refused(&["10"]), "which controllers?");
+        assert_eq!(refused(&["10", "idm", "space=nowhere"]), "there is no built-in space `nowhere`");
+        assert_eq!(refused(&["10", "idm", "front.svg", "space=steady"]), "a figure needs the space `high-risk`");
+        assert!(refused(&["10", "idm", "hal"]).contains("`hal`"), "{}", refused(&["10", "idm", "hal"]));
+        assert!(refused(&["10", "none.safetensors"]).contains("none.safetensors"));
+        let asked = Asked::by(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
+        assert_eq!((asked.draws, asked.spaces), (10, vec!["steady"]));
+    }
 }

@@ -1,14 +1,18 @@
-//! The learning curve of trainings whose evaluations are in a table, as `reports/training-evaluations.csv` has them.
+//! The learning curve of trainings whose evaluations are in a table, as `reports/training-evaluations.csv` has them, and what the paper
+//! states of its own.
 //!
 //! ```sh
 //! cargo run --release --example learning_curve -- reports/training-evaluations.csv paper-net-to-the-end curve.svg
 //! ```
+//! The paper's figure 3 has no numbers to draw it from. Its text has two: convergence at approximately the 400th episode, with a reward
+//! of 22 500.
 
 use std::collections::BTreeMap;
 use std::error::Error;
+use std::process::ExitCode;
 
-use crumple_learn::rl::LearningCurve;
-use crumple_report::figures::learning_curve;
+use crumple_learn::rl::{LearningCurve, PERFECT};
+use crumple_report::figures::{StatedConvergence, learning_curve_beside};
 
 /// A line of the table; what else it says is not drawn.
 #[derive(serde::Deserialize)]
@@ -19,22 +23,36 @@ struct Evaluation {
     mean_reward: f64,
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [table, configuration, picture] = arguments.as_slice() else {
-        return Err("usage: learning_curve TABLE CONFIGURATION PICTURE".into());
+/// Section "DDPG training result".
+const PAPER: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: PERFECT, from_episode: 400 };
+
+fn main() -> ExitCode {
+    match drawn(&std::env::args().skip(1).collect::<Vec<_>>()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}; usage: learning_curve TABLE.csv CONFIGURATION PICTURE.svg");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn drawn(arguments: &[String]) -> Result<(), Box<dyn Error>> {
+    let [table, configuration, picture] = arguments else {
+        return Err(format!("{} arguments, and there must be three", arguments.len()).into());
     };
+    let unreadable = |error: csv::Error| format!("{table}: {error}");
     let mut seeds = BTreeMap::<u64, BTreeMap<u64, f64>>::new();
-    for evaluation in csv::Reader::from_path(table)?.deserialize() {
-        let Evaluation { configuration: of, seed, episode, mean_reward } = evaluation?;
+    for evaluation in csv::Reader::from_path(table).map_err(unreadable)?.deserialize() {
+        let Evaluation { configuration: of, seed, episode, mean_reward } = evaluation.map_err(unreadable)?;
         if of == *configuration {
             seeds.entry(seed).or_default().insert(episode, mean_reward);
         }
     }
     if seeds.is_empty() {
-        return Err(format!("{table} has no evaluations of {configuration}").into());
+        return Err(format!("{table} has no evaluations of `{configuration}`").into());
     }
     let curves: Vec<_> = seeds.into_values().collect();
-    std::fs::write(picture, learning_curve(&LearningCurve::from_evaluations(configuration, &curves)).document())?;
+    let figure = learning_curve_beside(&LearningCurve::from_evaluations(configuration, &curves), Some(&PAPER));
+    std::fs::write(picture, figure.document()).map_err(|error| format!("{picture}: {error}"))?;
     Ok(())
 }

@@ -23,6 +23,7 @@ mod list;
 mod merge;
 mod output;
 mod plan;
+mod preset;
 mod progress;
 mod rare;
 mod reach;
@@ -149,7 +150,14 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 
 /// All commands, as `--help` shows them.
 fn commands() -> clap::Command {
-    Arguments::command().mut_subcommands(with_exit_codes)
+    Arguments::command().mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
+}
+
+/// Has a negative number behind an option refused for what it is: else it would be taken for another option.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let takes_one = |arg: &clap::Arg| arg.get_long().is_some() && arg.get_action().takes_values();
+    let allowed = |arg: clap::Arg| if takes_one(&arg) { arg.allow_negative_numbers(true) } else { arg };
+    command.mut_args(allowed).mut_subcommands(with_negative_numbers)
 }
 
 /// Puts the exit codes at the end of a command's long help, and of that of its own subcommands.

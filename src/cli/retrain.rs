@@ -1,10 +1,11 @@
 //! `crumple retrain`: retrain a policy against what a search finds.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, value_parser};
 use indicatif::ProgressBar;
 
+use super::preset::Preset;
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
@@ -38,7 +39,7 @@ pub(super) struct Retrain {
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
     space: (String, Space),
-    /// How to train: `retrain`, or a TOML file like those of `crumple train`
+    /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
     /// Rounds at most: 1 to 99
@@ -73,7 +74,7 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = subject::whole(0..=i64::MAX as u64))]
     seed: u64,
     /// Folder of the retraining; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]
@@ -175,13 +176,10 @@ const MOST_REGRESSION_SPACES: usize = 32;
 
 /// The preset of that name, or the one in a file.
 fn training(name: &str) -> Result<TrainingConfig, Failure> {
-    let path = Path::new(name);
-    if path.extension().is_some() {
-        let text = crumple_world::scenario::file::read(path)?;
-        return TrainingConfig::parse(&text, path).map_err(Failure::input);
+    match name {
+        "retrain" | "harden" => training_preset().map_err(Failure::input),
+        other => Ok(Preset::find(other)?.config),
     }
-    if ["retrain", "harden"].contains(&name) { training_preset() } else { TrainingConfig::preset(name) }
-        .map_err(Failure::input)
 }
 
 fn show(bar: &ProgressBar, state: Progress) {

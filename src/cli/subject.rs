@@ -1,5 +1,6 @@
 //! Arguments that several subcommands share: which scenario, which controller.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
@@ -36,6 +37,15 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
         }
     }
     Ok(scenario)
+}
+
+/// A whole number of a range, for clap.
+pub(super) fn whole(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {
+    move |words| {
+        let (low, high) = (range.start(), range.end());
+        let number = words.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
+    }
 }
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.

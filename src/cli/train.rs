@@ -7,11 +7,12 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::preset::Preset;
 use super::simulate::Format;
-use super::{Failure, interrupt, output, progress};
+use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::rl::{
-    Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
-    TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
+    ConfigError, Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig,
+    TrainingError, TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
 };
 use crumple_search::disk::{self, Files};
 use crumple_search::shard::{MissingShards, Shard, as_array};
@@ -39,7 +40,8 @@ gives the same bytes whatever the number of threads, and whether or not it was i
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
 goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
 memory for each seed, as estimated from its networks, batches and replay memory. A seed that diverges, or of which no checkpoint \
-is better than the untrained network, is said to: it leaves no policy of the untrained network behind, and the exit code is 1.
+is better than the untrained network, is named, and the exit code is 1: where nothing was learned no policy is kept, and the other \
+seeds are trained to their ends all the same. What each field of a preset means and what becomes of a training is in docs/training.md.
 
 Examples:
   crumple train --seed 7
@@ -52,14 +54,14 @@ pub(super) struct Train {
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: String,
     /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
-    /// times, and replaces the preset's, with all costs counting once
+    /// times, each space once, and replaces the preset's, with all costs counting once
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds")]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = subject::whole(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = subject::whole(1..=100_000))]
     seeds: Option<u64>,
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
@@ -71,7 +73,7 @@ pub(super) struct Train {
     #[arg(long)]
     resume: bool,
     /// Episodes at most, instead of the preset's: 1 to 10 000 000
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = subject::whole(1..=10_000_000))]
     episodes: Option<u64>,
     /// How to print what the trained seeds come to
     #[arg(long, value_enum, default_value = "text")]
@@ -154,20 +156,33 @@ impl Train {
     }
 
     fn config(&self) -> Result<TrainingConfig, Failure> {
-        let path = Path::new(&self.preset);
-        let mut config = if path.extension().is_some() {
-            let text = crumple_world::scenario::file::read(path)?;
-            TrainingConfig::parse(&text, path).map_err(Failure::input)?
-        } else {
-            TrainingConfig::preset(&self.preset).map_err(Failure::input)?
-        };
+        let preset = Preset::find(&self.preset)?;
+        let mut config = preset.config.clone();
         config.episodes = self.episodes.unwrap_or(config.episodes);
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
         // What cannot be drawn from is known before a folder is made.
-        config.source().map_err(Failure::input)?;
-        Ok(config)
+        match config.source() {
+            Ok(_) => Ok(config),
+            Err(error) if self.space.is_empty() => Err(preset.failure(error)),
+            Err(error) => Err(self.of_option(&error)),
+        }
+    }
+
+    /// An error of the spaces that options name, by what was written there.
+    fn of_option(&self, error: &ConfigError) -> Failure {
+        let (ConfigError::Field { field, .. } | ConfigError::Range { field, .. }) = error else {
+            return Failure::Input(format!("--space: {error}"));
+        };
+        let index = field.strip_prefix("spaces[").and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
+        let said = error.to_string();
+        let said = said.strip_prefix(&format!("{field}: ")).unwrap_or(&said);
+        let weight = if field.ends_with(".weight") { "the weight " } else { "" };
+        match index.and_then(|index| self.space.get(index)) {
+            Some(share) => Failure::Input(format!("--space {}: {weight}{said}", share.space)),
+            None => Failure::Input(format!("--space: {said}")),
+        }
     }
 
     fn train(

@@ -13,6 +13,33 @@ fn the_committed_training_schema_is_that_of_the_types() {
     assert_committed("crates/learn/src/rl/training.schema.json", &json_schema());
 }
 
+/// Every field of a preset is explained.
+#[test]
+fn the_page_about_trainings_names_every_field() {
+    fn names_in<'v>(value: &'v serde_json::Value, found: &mut Vec<&'v str>) {
+        match value {
+            serde_json::Value::Object(all) => {
+                let fields = all.get("properties").and_then(|fields| fields.as_object());
+                fields.into_iter().for_each(|fields| found.extend(fields.keys().map(String::as_str)));
+                all.values().for_each(|value| names_in(value, found));
+            }
+            serde_json::Value::Array(all) => all.iter().for_each(|value| names_in(value, found)),
+            _ => {}
+        }
+    }
+    let (schema, page) = (json_schema(), include_str!("../../docs/training.md"));
+    let mut names = Vec::new();
+    names_in(&schema, &mut names);
+    assert!(names.len() > 60, "{names:?}");
+    let is_named = |name: &str| {
+        page.contains(&format!("`{name}`"))
+            || page.contains(&format!("{name} = "))
+            || page.contains(&format!("{name}]"))
+    };
+    let missing: Vec<_> = names.into_iter().filter(|name| !is_named(name)).collect();
+    assert_eq!(missing, [""; 0]);
+}
+
 #[test]
 fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
     let schema = json_schema();

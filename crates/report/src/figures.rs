@@ -15,11 +15,30 @@ use crumple_world::recording::{Hardest, Preview, SpeedLine};
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 260.0;
 
+/// What somebody states of a learning curve in words, where the numbers of the curve itself are not to be had.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedConvergence<'a> {
+    /// Who states it.
+    pub source: &'a str,
+    /// The reward that is reached.
+    pub reward: f64,
+    /// From about which episode on.
+    pub from_episode: u64,
+}
+
 /// A learning curve: the mean reward in evaluation over all seeds, and its standard deviation.
 #[must_use]
 pub fn learning_curve(curve: &LearningCurve) -> Svg {
+    learning_curve_beside(curve, None)
+}
+
+/// A learning curve, and what somebody states of theirs: a ring where it is said to arrive, and a line from there on, no curve.
+#[must_use]
+pub fn learning_curve_beside(curve: &LearningCurve, stated: Option<&StatedConvergence<'_>>) -> Svg {
     let LearningCurve { preset, seeds, points } = curve;
-    let last = points.last().map_or(1.0, |point| point.episode as f64);
+    let trained = points.last().map_or(1.0, |point| point.episode as f64);
+    // What is stated goes on beyond what was trained.
+    let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
     let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
     let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
@@ -31,7 +50,7 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
     panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
     // Words stand where the curve's right end is not.
-    let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * last).map(|p| p.mean_reward).collect();
+    let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * trained).map(|p| p.mean_reward).collect();
     let is_high = right.iter().sum::<f64>() > 0.5 * PERFECT * right.len() as f64;
     let words_at = |line: f64| (last * 0.995, PERFECT * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
     panel.note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
@@ -40,13 +59,31 @@ pub fn learning_curve(curve: &LearningCurve) -> Svg {
             .to_owned();
     // What is there before any training is not learned.
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
-        let words = format!("dots: {} {:03}, before any training", untrained as i64 / 1000, untrained as i64 % 1000);
+        let words = format!("dots: {}, before any training", in_thousands(untrained));
         panel.rule_y(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         panel.note(words_at(1.0), Anchor::End, &words, Ink::Muted);
         description += &format!(" Untrained networks stand at {untrained:.0}.");
     }
+    if let Some(StatedConvergence { source, reward, from_episode }) = stated {
+        let at = (*from_episode as f64, *reward);
+        panel.segment(at, (last, *reward), Stroke { width: 2.4, ..Stroke::series(1) });
+        panel.marks(&[at], Marker::Ring, Ink::Series(1));
+        let said = format!("{} from about episode {from_episode} on", in_thousands(*reward));
+        panel.note(
+            words_at(-1.0),
+            Anchor::End,
+            &format!("ring and line: {source}, by its text: {said}"),
+            Ink::Series(1),
+        );
+        description += &format!(" Of {source} only what its text states is drawn, {said}: its curve has no numbers.");
+    }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
     Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, &description, content)
+}
+
+/// A reward as in 22 500.
+fn in_thousands(reward: f64) -> String {
+    format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
 /// Contacts in the selection over episodes; a ring is a candidate, a vertical line the end of a round.
@@ -131,6 +168,19 @@ mod tests {
             let svg = learning_curve(&curve).document();
             assert!(svg.contains("2 seeds") && svg.contains("22 500"));
             assert_eq!(svg.contains("dots: 1 000, before any training"), first == 0);
+            assert!(!svg.contains("by its text"));
         }
+    }
+
+    /// It is no curve, and is not taken for one: a ring, a line, and who says so.
+    #[test]
+    fn what_is_stated_of_another_curve_is_labelled_as_such() {
+        let points = vec![CurvePoint { episode: 300, mean_reward: 1000.0, deviation: 10.0 }];
+        let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points };
+        let stated = StatedConvergence { source: "the paper", reward: PERFECT, from_episode: 400 };
+        let svg = learning_curve_beside(&curve, Some(&stated)).document();
+        assert!(svg.contains("ring and line: the paper, by its text: 22 500 from about episode 400 on"), "{svg}");
+        // The axis reaches as far as what is stated.
+        assert!(svg.contains(">400<"), "{svg}");
     }
 }

@@ -137,6 +137,18 @@ fn arguments_that_make_no_sense_are_named() {
             &["plan", "--controller", "idm", "--rate-below", "1e-300"],
             "error: --rate-below: a rate of 1e-300 with 0 failures would take more than",
         ),
+        (
+            &["train", "--seed", "-1"],
+            "error: invalid value '-1' for '--seed <N>': must be a whole number from 0 to 184",
+        ),
+        (&["train", "--seed", "1.5"], "error: invalid value '1.5' for '--seed <N>': must be a whole number from 0 to"),
+        (&["train", "--seeds", "-1"], "error: invalid value '-1' for '--seeds <N>': must be a whole number from 1 to"),
+        (&["train", "--seeds", "0"], "error: invalid value '0' for '--seeds <N>': must be a whole number from 1 to"),
+        (&["train", "--episodes", "-3"], "error: invalid value '-3' for '--episodes <N>': must be a whole number"),
+        (&["train", "--space", "steady=-1"], "error: --space steady: the weight must be between 0.000001 and 1000000"),
+        (&["retrain", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>': must be a whole number from 0 to"),
+        (&["falsify", "--controller", "idm", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
+        (&["verify", "rate", "--controller", "idm", "--seed", "-1"], "error: invalid value '-1' for '--seed <N>'"),
         (&["list", "colours"], "error: invalid value 'colours'"),
         (&["drive"], "error: unrecognized subcommand 'drive'"),
     ];
@@ -146,6 +158,45 @@ fn arguments_that_make_no_sense_are_named() {
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
     }
     assert_eq!(names_in(folder.path()), [""; 0], "nothing written");
+}
+
+/// What is wrong with a preset is told before anything is written, by both commands that take one: `rl::tests::presets` tries every field.
+#[test]
+fn presets_that_cannot_be_used_are_named() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("folder")).unwrap();
+    fs::create_dir(folder.path().join("folder.toml")).unwrap();
+    for (name, bytes) in [("empty", &b""[..]), ("empty.toml", b""), ("bytes.toml", b"version = 1\n\xff\n")] {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let road = include_str!("../../../crates/learn/src/rl/presets/road.toml");
+    let line_of = |words: &str| road.lines().position(|line| line == words).unwrap() + 1;
+    let changed = |name: &str, from: &str, to: &str| {
+        fs::write(folder.path().join(name), crate::tiny::changed(road, &[(from, to)])).unwrap();
+    };
+    changed("no-space.toml", "space = \"paper\"", "space = \"nowhere\"");
+    changed("no-file.toml", "space = \"paper\"", "space = \"nowhere.toml\"");
+    let at = line_of("space = \"paper\"");
+    let no_space = format!("error: no-space.toml:{at}: spaces[2].space: `nowhere` is neither a built-in space");
+    let no_file = format!("error: no-file.toml:{at}: spaces[2].space: nowhere.toml: ");
+    let of_any = [
+        ("folder", "error: folder: "),
+        ("folder.toml", "error: folder.toml: "),
+        ("empty", "error: empty:1: missing field `version`"),
+        ("empty.toml", "error: empty.toml:1: missing field `version`"),
+        ("bytes.toml", "error: bytes.toml:2: is not UTF-8 text from here on"),
+        ("missing.toml", "error: missing.toml: "),
+        ("slow", "error: there is no preset `slow`, and no such file; there are fast, "),
+        ("", "error: there is no preset ``, and no such file; there are fast, "),
+    ];
+    // A retraining draws from none of a preset's spaces.
+    let of_training = [("no-space.toml", &*no_space), ("no-file.toml", &*no_file)];
+    let cases = of_any.iter().flat_map(|case| [("train", *case), ("retrain", *case)]);
+    for (command, (preset, expected)) in cases.chain(of_training.map(|case| ("train", case))) {
+        let first = first_line(folder.path(), &[command, "--preset", preset, "--out", "out"], 2);
+        assert!(first.starts_with(expected), "{command} {preset}: {first}");
+        assert!(!folder.path().join("out").exists(), "{command} {preset}: nothing written");
+    }
 }
 
 /// Output that cannot be written: exit code 3, and neither part of it nor a temporary file is left.

@@ -123,14 +123,17 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
     let log = |out: &str| fs::read(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
     assert!(log("paper") != log("spaces"));
     for (space, reason) in [
-        ("nowhere", "spaces: `nowhere` is neither a built-in space"),
-        ("steady=0", "spaces: the weight of `steady` must be between"),
+        ("nowhere", "error: --space nowhere: `nowhere` is neither a built-in space"),
+        ("steady=0", "error: --space steady: the weight must be between 0.000001 and 1000000, found 0"),
         ("steady=much", "`much` is no weight"),
         ("paper-3.toml", "paper-3.toml"),
     ] {
         assert_refused(&train("refused", &[space]), reason);
-        assert!(!folder.path().join("refused/seed-4").exists());
+        assert!(!folder.path().join("refused").exists());
     }
+    let twice = "error: --space traffic: `traffic` is named twice: give it one weight";
+    assert_refused(&train("refused", &["traffic=0.5", "steady", "traffic=0.5"]), twice);
+    assert!(!folder.path().join("refused").exists());
 }
 
 /// Rates of 0 learn nothing: no checkpoint is better than the untrained network.

@@ -108,39 +108,7 @@ mod tests {
     use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, file};
 
     /// A standing vehicle 40 to 120 m ahead of 10 to 80 km/h, and nobody behind.
-    const QUEUE: &str = r#"
-version = 1
-name = "queue"
-
-[base]
-version = 1
-name = "queue"
-duration_s = 20.0
-
-[[base.vehicles]]
-class = "light"
-position_m = 120.0
-speed_mps = 0.0
-driver = "constant-speed"
-
-[[base.vehicles]]
-class = "light"
-position_m = 40.0
-speed_mps = 15.0
-driver = "under-test"
-
-[[parameters]]
-name = "speed_mps"
-field = "vehicles[1].speed_mps"
-unit = "m/s"
-distribution.uniform = { low = 2.8, high = 22.2 }
-
-[[parameters]]
-name = "position_m"
-field = "vehicles[1].position_m"
-unit = "m"
-distribution.uniform = { low = -5.0, high = 75.0 }
-"#;
+    const QUEUE: &str = include_str!("queue.toml");
 
     /// What `retrained` was before products were fused.
     const RUNS_INTO_STANDING: &[u8] = include_bytes!("runs-into-standing.safetensors");

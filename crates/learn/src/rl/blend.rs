@@ -6,7 +6,7 @@ use rand::RngExt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::config::ConfigError;
+use super::config::{ConfigError, within};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{Space, find_space};
@@ -14,6 +14,12 @@ use crumple_world::scenario::{InvalidField, Scenario};
 
 /// Most times that costs count.
 const MOST_COSTS_TIMES: f64 = 1e4;
+
+/// Least and most weight of a space.
+const WEIGHTS: [f64; 2] = [1e-6, 1e6];
+
+/// Weights of one space would add up where somebody may have meant the last to count, and `costs_times` could contradict itself.
+const ONE_WEIGHT: &str = "give it one weight";
 
 /// Most spaces of a blend.
 const MOST_SPACES: usize = 32;
@@ -62,35 +68,26 @@ impl WeightedSpaces {
     /// The spaces of a configuration, each in proportion to its weight.
     ///
     /// # Errors
-    /// [`ConfigError`] if a space is unknown, cannot be read, or holds what the agent cannot be trained on, or a weight is no
-    /// positive number.
+    /// [`ConfigError`] if a space is unknown, cannot be read, holds what the agent cannot be trained on or is named twice, or a weight
+    /// is no positive number.
     pub fn new(shares: &[SpaceShare]) -> Result<Self, ConfigError> {
-        let problem = |problem: String| ConfigError::Field { field: "spaces", problem };
-        if shares.len() > MOST_SPACES {
-            return Err(problem(format!("{MOST_SPACES} are the most, found {}", shares.len())));
-        }
-        for SpaceShare { space, weight, costs_times } in shares {
-            if !(1e-6..=1e6).contains(weight) {
-                return Err(problem(format!(
-                    "the weight of `{space}` must be between 0.000001 and 1000000, found {weight}"
-                )));
-            }
-            if !(0.0..=MOST_COSTS_TIMES).contains(costs_times) {
-                let range = format!("must be between 0 and {MOST_COSTS_TIMES}, found {costs_times}");
-                return Err(problem(format!("`costs_times` of `{space}` {range}")));
-            }
-        }
+        check(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
-        let (mut parts, mut below) = (Vec::new(), 0.0);
-        for SpaceShare { space, weight, costs_times } in shares {
-            let (costs_times, space) = (*costs_times, find_space(space).map_err(|error| problem(error.to_string()))?);
-            let first = space.draw(0, 0).map_err(|error| problem(error.to_string()))?;
+        let (mut parts, mut below) = (Vec::<Part>::new(), 0.0);
+        for (index, SpaceShare { space: name, weight, costs_times }) in shares.iter().enumerate() {
+            let problem = |problem: String| ConfigError::Field { field: format!("spaces[{index}].space"), problem };
+            let space = find_space(name).map_err(|error| problem(error.to_string()))?;
+            let first = space.draw(0, 0).map_err(|error| problem(format!("`{name}` cannot be drawn from: {error}")))?;
             if let Some(reason) = unsuited(&first) {
-                return Err(problem(format!("`{}` cannot be trained on: {reason}", space.name())));
+                return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
+            }
+            // One space under the names of two files is one space.
+            if let Some(same) = parts.iter().position(|part| part.space.spec() == space.spec()) {
+                return Err(problem(format!("`{name}` is the space of spaces[{same}]: {ONE_WEIGHT}")));
             }
             let share = weight / total;
             below += share;
-            parts.push(Part { space, share, below, costs_times });
+            parts.push(Part { space, share, below, costs_times: *costs_times });
         }
         Ok(Self { parts })
     }
@@ -137,6 +134,23 @@ impl ScenarioSource for WeightedSpaces {
     }
 }
 
+/// Whether shares are in their ranges and each of another space, as far as can be told without reading a file.
+pub(super) fn check(shares: &[SpaceShare]) -> Result<(), ConfigError> {
+    if shares.len() > MOST_SPACES {
+        let problem = format!("{MOST_SPACES} are the most, found {}", shares.len());
+        return Err(ConfigError::Field { field: "spaces".to_owned(), problem });
+    }
+    for (index, SpaceShare { space, weight, costs_times }) in shares.iter().enumerate() {
+        within(&format!("spaces[{index}].weight"), *weight, WEIGHTS)?;
+        within(&format!("spaces[{index}].costs_times"), *costs_times, [0.0, MOST_COSTS_TIMES])?;
+        if shares.iter().take(index).any(|earlier| earlier.space == *space) {
+            let problem = format!("`{space}` is named twice: {ONE_WEIGHT}");
+            return Err(ConfigError::Field { field: format!("spaces[{index}].space"), problem });
+        }
+    }
+    Ok(())
+}
+
 /// What a training of these spaces draws from; without any, the paper's distribution.
 pub(super) fn source(shares: &[SpaceShare]) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
     if shares.is_empty() { Ok(Arc::new(PaperDraws)) } else { Ok(Arc::new(WeightedSpaces::new(shares)?)) }
@@ -172,15 +186,34 @@ mod tests {
     #[test]
     fn mistakes_are_named() {
         let refused = |shares: &[SpaceShare]| WeightedSpaces::new(shares).unwrap_err().to_string();
-        assert!(refused(&[share("nowhere", 1.0)]).contains("`nowhere` is neither a built-in space"));
+        let found = refused(&[share("paper", 1.0), share("nowhere", 1.0)]);
+        assert!(found.starts_with("spaces[1].space: `nowhere` is neither a built-in space"), "{found}");
         for weight in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(refused(&[share("paper", weight)]).starts_with("spaces: the weight of `paper` must be between"));
+            let found = refused(&[share("steady", 1.0), share("paper", weight)]);
+            assert!(found.starts_with("spaces[1].weight: must be between 0.000001 and 1000000, found "), "{found}");
         }
-        assert!(refused(&vec![share("paper", 1.0); 33]).contains("32 are the most"));
+        assert!(refused(&vec![share("paper", 1.0); 33]).starts_with("spaces: 32 are the most, found 33"));
         for costs_times in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MOST_COSTS_TIMES] {
             let found = refused(&[SpaceShare { costs_times, ..share("paper", 1.0) }]);
-            assert!(found.starts_with("spaces: `costs_times` of `paper` must be between 0 and 10000"), "{found}");
+            assert!(found.starts_with("spaces[0].costs_times: must be between 0 and 10000, found "), "{found}");
         }
+        let found = refused(&[share("paper", 1.0), share("steady", 1.0), share("paper", 2.0)]);
+        assert_eq!(found, "spaces[2].space: `paper` is named twice: give it one weight");
+    }
+
+    #[test]
+    fn a_space_in_two_files_is_one_space() {
+        let folder = tempfile::tempdir().unwrap();
+        let steady = crumple_world::scenario::space::built_in_space("steady").unwrap();
+        let text = crumple_world::scenario::space::file::to_toml(&steady).unwrap();
+        let shares = ["one.toml", "other.toml"].map(|name| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, &text).unwrap();
+            share(path.to_str().unwrap(), 1.0)
+        });
+        let refused = WeightedSpaces::new(&shares).unwrap_err().to_string();
+        assert!(refused.starts_with("spaces[1].space: `"), "{refused}");
+        assert!(refused.ends_with("other.toml` is the space of spaces[0]: give it one weight"), "{refused}");
     }
 
     /// In the episodes of its space, and in no others; and a training of other costs is another one.

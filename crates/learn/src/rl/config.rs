@@ -257,19 +257,60 @@ pub const PRESETS: [(&str, &str); 4] = [
 #[non_exhaustive]
 pub enum ConfigError {
     /// No such preset.
-    #[error("there is no preset `{0}`; there are fast, paper, paper-net, road")]
+    #[error("there is no preset `{0}`, and no such file; there are fast, paper, paper-net, road")]
     Unknown(String),
     /// A text is none: its file, line and field, and what is wrong.
     #[error("{0}")]
     Text(String),
-    /// A field is out of range.
+    /// A field contradicts another, or names what cannot be trained on.
     #[error("{field}: {problem}")]
     Field {
         /// Path of the field.
-        field: &'static str,
+        field: String,
         /// What is wrong.
         problem: String,
     },
+    /// A number is out of range.
+    #[error("{field}: must be between {low} and {high}, found {found}")]
+    Range {
+        /// Path of the field.
+        field: String,
+        /// The least that it may be.
+        low: f64,
+        /// The most.
+        high: f64,
+        /// What it is.
+        found: f64,
+    },
+}
+
+impl ConfigError {
+    /// With the file and the line of its field, and numbers as they are written there: `found` may have been rounded since.
+    #[must_use]
+    pub fn in_text(self, text: &str, path: &Path) -> Self {
+        let (field, said) = match &self {
+            Self::Unknown(_) | Self::Text(_) => return self,
+            Self::Field { field, .. } => (field, self.to_string()),
+            Self::Range { field, low, high, .. } => {
+                let written = file::written_in_toml(text, field);
+                let written = written.map(|found| format!("{field}: must be between {low} and {high}, found {found}"));
+                (field, written.unwrap_or_else(|| self.to_string()))
+            }
+        };
+        Self::Text(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
+    }
+}
+
+/// Most hidden layers.
+const MOST_LAYERS: usize = 16;
+
+/// Refuses a number that is not within its range.
+pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
+    if (low..=high).contains(&found) {
+        Ok(())
+    } else {
+        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
+    }
 }
 
 impl TrainingConfig {
@@ -296,13 +337,7 @@ impl TrainingConfig {
     /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let config: Self = file::parse_toml(text, path).map_err(|error| ConfigError::Text(error.to_string()))?;
-        config.check().map_err(|error| match error {
-            ConfigError::Field { field, .. } => {
-                let line = file::line_in_toml(text, field);
-                ConfigError::Text(format!("{}:{line}: {error}", path.display()))
-            }
-            other => other,
-        })?;
+        config.check().map_err(|error| error.in_text(text, path))?;
         Ok(config)
     }
 
@@ -322,17 +357,12 @@ impl TrainingConfig {
     /// Whether it can be trained with.
     ///
     /// # Errors
-    /// [`ConfigError::Field`] names the first field that is out of range.
+    /// [`ConfigError::Range`] and [`ConfigError::Field`] name the first field that is wrong.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let within = |field, value: f64, [low, high]: [f64; 2]| {
-            if (low..=high).contains(&value) {
-                Ok(())
-            } else {
-                let problem = format!("must be between {low} and {high}, found {value}");
-                Err(ConfigError::Field { field, problem })
-            }
-        };
-        within("version", f64::from(self.version), [1.0, f64::from(TRAINING_VERSION)])?;
+        if self.version != TRAINING_VERSION {
+            let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
+            return Err(ConfigError::Field { field: "version".to_owned(), problem });
+        }
         within("episodes", self.episodes as f64, [1.0, 1e7])?;
         within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
         within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
@@ -340,15 +370,18 @@ impl TrainingConfig {
         within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
         within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
-        terms.try_for_each(|(field, value, range)| within(field, value, range))?;
+        terms.try_for_each(|(field, value, range)| within(&field, value, range))?;
         self.environment.observation.check()?;
-        if let Some(Err((field, problem))) = self.environment.departs_from.as_ref().map(Departure::check) {
-            let problem = format!("{field} {problem}");
-            return Err(ConfigError::Field { field: "environment.departs_from", problem });
+        let mut departure = self.environment.departs_from.iter().flat_map(Departure::numbers);
+        departure
+            .try_for_each(|(name, value, range)| within(&format!("environment.departs_from.{name}"), value, range))?;
+        let layers = self.network.hidden.len();
+        if !(1..=MOST_LAYERS).contains(&layers) {
+            let problem = format!("must have 1 to {MOST_LAYERS} layers, found {layers}");
+            return Err(ConfigError::Field { field: "network.hidden".to_owned(), problem });
         }
-        within("network.hidden", self.network.hidden.len() as f64, [1.0, 16.0])?;
-        for &width in &self.network.hidden {
-            within("network.hidden", width as f64, [1.0, 4096.0])?;
+        for (layer, &width) in self.network.hidden.iter().enumerate() {
+            within(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
         }
         within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
         within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
@@ -362,10 +395,15 @@ impl TrainingConfig {
         within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
         within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
         within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
+        within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
         within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
         within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
         within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
-        within("replay.capacity", self.replay.capacity as f64, [self.learning.batch as f64, 1e8])?;
+        within("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
+        if self.replay.capacity < self.learning.batch {
+            let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
+            return Err(ConfigError::Field { field: "replay.capacity".to_owned(), problem });
+        }
         within("replay.contact_share", self.replay.contact_share, [0.0, 1.0])?;
         within("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
         within("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
@@ -376,6 +414,7 @@ impl TrainingConfig {
         within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
         within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
         within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
+        blend::check(&self.spaces)?;
         super::memory::check(self)
     }
 }

@@ -10,9 +10,9 @@ const COPIES: u64 = 9;
 /// Numbers a layer and sample: activations and what is handed back, in each of three working spaces.
 const TAPES: u64 = 6;
 
-/// About how many bytes a training will take: networks with all that goes with them, the working space of an update, and the replay
-/// memory once it is full.
-fn bytes(config: &TrainingConfig) -> u64 {
+/// About how many bytes each part of a training will take, with the field that decides it: networks with all that goes with them, the
+/// working space of an update, and the replay memory once it is full.
+fn parts(config: &TrainingConfig) -> [(&'static str, u64); 3] {
     let parameters = |inputs: usize| {
         let sizes = [&[inputs], config.network.hidden.as_slice(), &[1]].concat();
         sizes.windows(2).fold(0, |sum: u64, pair| {
@@ -26,24 +26,36 @@ fn bytes(config: &TrainingConfig) -> u64 {
     let networks = parameters(seen).saturating_add(parameters(known).saturating_mul(critics));
     let widths = config.network.hidden.iter().fold(0, |sum: u64, &width| sum.saturating_add(width as u64));
     let space = widths.saturating_mul(config.learning.batch as u64).saturating_mul(TAPES);
-    let floats = networks.saturating_mul(COPIES).saturating_add(space);
     let remembered = config.remembered().numbers() as u64;
     let remembered = remembered.saturating_mul(config.replay.capacity as u64);
-    floats.saturating_add(remembered).saturating_mul(size_of::<f32>() as u64)
+    let bytes = |floats: u64| floats.saturating_mul(size_of::<f32>() as u64);
+    [
+        ("network.hidden", bytes(networks.saturating_mul(COPIES))),
+        ("learning.batch", bytes(space)),
+        ("replay.capacity", bytes(remembered)),
+    ]
 }
 
-/// Whether a training takes no more than [`MOST_BYTES`].
+/// All of them together.
+fn bytes(config: &TrainingConfig) -> u64 {
+    parts(config).into_iter().fold(0, |sum, (_, bytes)| sum.saturating_add(bytes))
+}
+
+/// Whether a training takes no more than [`MOST_BYTES`]. The field that takes most of them is the one to blame.
 pub(super) fn check(config: &TrainingConfig) -> Result<(), ConfigError> {
     let (found, most) = (bytes(config), MOST_BYTES);
     if found <= most {
         return Ok(());
     }
+    let field = parts(config).into_iter().max_by_key(|(_, bytes)| *bytes).map_or("network.hidden", |(field, _)| field);
+    let others: Vec<_> = parts(config).into_iter().map(|(other, _)| other).filter(|other| *other != field).collect();
     let problem = format!(
-        "takes some {} MiB of memory with learning.batch and replay.capacity, and {} MiB are the most",
+        "takes some {} MiB of memory with {}, and {} MiB are the most",
         found >> 20,
+        others.join(" and "),
         most >> 20
     );
-    Err(ConfigError::Field { field: "network.hidden", problem })
+    Err(ConfigError::Field { field: field.to_owned(), problem })
 }
 
 #[cfg(test)]
@@ -62,18 +74,17 @@ mod tests {
             change(&mut config);
             config.check()
         };
-        let refused = |result: Result<(), ConfigError>| {
+        let refused = |field: &str, result: Result<(), ConfigError>| {
             let said = result.unwrap_err().to_string();
-            assert!(
-                said.starts_with("network.hidden: takes some ") && said.ends_with("and 4096 MiB are the most"),
-                "{said}"
-            );
+            let begins = format!("{field}: takes some ");
+            assert!(said.starts_with(&begins) && said.ends_with("and 4096 MiB are the most"), "{said}");
         };
-        refused(changed(&|config| config.network.hidden = vec![4096; 16]));
-        refused(changed(&|config| config.replay.capacity = 100_000_000));
-        refused(changed(&|config| {
+        refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
+        refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
+        let wide = |config: &mut TrainingConfig| {
             (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
-        }));
+        };
+        refused("learning.batch", changed(&wide));
         changed(&|config| config.network.hidden = vec![1024; 4]).unwrap();
     }
 }

@@ -161,17 +161,19 @@ impl ObservationConfig {
     }
 
     /// Every number, its name and its range.
-    pub(super) fn ranges(&self) -> impl Iterator<Item = (&'static str, f64, [f64; 2])> {
+    pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let inputs = NAMES.into_iter().zip(self.inputs.in_order()).filter_map(|(name, input)| Some((name, input?)));
-        let inputs =
-            inputs.flat_map(|(name, input)| [(name, input.offset, [-1e4, 1e4]), (name, input.scale, [1e-3, 1e4])]);
+        let inputs = inputs.flat_map(|(name, input)| {
+            let of = |field| format!("{name}.{field}");
+            [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
+        });
         let whole = [
             ("environment.observation.limit", self.limit, [0.1, 1000.0]),
             ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
             ("environment.observation.history", f64::from(self.history), [1.0, LONGEST_HISTORY as f64]),
             ("environment.observation.history_every", f64::from(self.history_every), [1.0, LONGEST_HISTORY as f64]),
         ];
-        whole.into_iter().chain(inputs)
+        whole.into_iter().map(|(name, value, range)| (name.to_owned(), value, range)).chain(inputs)
     }
 
     /// Refuses to see nothing.
@@ -179,7 +181,7 @@ impl ObservationConfig {
         if self.inputs.in_order().iter().any(Option::is_some) {
             return Ok(());
         }
-        let field = "environment.observation.inputs";
+        let field = "environment.observation.inputs".to_owned();
         Err(ConfigError::Field { field, problem: "nothing is seen; name one input at least".to_owned() })
     }
 }

@@ -103,12 +103,13 @@ impl CostConfig {
     }
 
     /// Every number, its name and its range.
-    pub(super) fn ranges(&self) -> impl Iterator<Item = (&'static str, f64, [f64; 2])> {
+    pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let wanted = [
             ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
             ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
         ];
-        wanted.into_iter().chain(self.weights().map(|(name, weight)| (name, weight, [0.0, MOST_WEIGHT])))
+        let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MOST_WEIGHT]));
+        wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
     }
 
     /// Whether nothing costs anything: the paper's reward.

@@ -1,4 +1,5 @@
 //! Tests of several parts together.
 
+mod presets;
 mod training;
 mod update;

@@ -32,18 +32,25 @@ const WIDEST_DEAD_ZONE: f64 = 0.99;
 const RATES_PER_S: [f64; 2] = [0.1, 1000.0];
 
 impl Departure {
-    /// What is wrong with it: the field, and the problem.
+    /// Every number, the path of its field and its range.
+    pub fn numbers(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
+        let own =
+            [("dead_zone", self.dead_zone, [0.0, WIDEST_DEAD_ZONE]), ("rate_per_s", self.rate_per_s, RATES_PER_S)];
+        let of_law = IdmSettings::FIELDS.iter().enumerate().map(|(index, field)| {
+            let value = self.idm.get(index).unwrap_or(f64::NAN);
+            (format!("idm.{}", field.name), value, field.range)
+        });
+        own.into_iter().map(|(field, value, range)| (field.to_owned(), value, range)).chain(of_law)
+    }
+
+    /// What is wrong with it: the path of the field, and the problem.
     ///
     /// # Errors
     /// If a number is outside its range.
-    pub fn check(&self) -> Result<(), (&'static str, String)> {
-        let own =
-            [("dead_zone", [0.0, WIDEST_DEAD_ZONE], self.dead_zone), ("rate_per_s", RATES_PER_S, self.rate_per_s)];
-        let of_law = IdmSettings::FIELDS.iter().enumerate();
-        let of_law = of_law.map(|(index, field)| (field.name, field.range, self.idm.get(index).unwrap_or(f64::NAN)));
-        match own.into_iter().chain(of_law).find(|(_, [low, high], value)| !(low..=high).contains(&value)) {
+    pub fn check(&self) -> Result<(), (String, String)> {
+        match self.numbers().find(|(_, value, [low, high])| !(low..=high).contains(&value)) {
             None => Ok(()),
-            Some((field, [low, high], value)) => {
+            Some((field, value, [low, high])) => {
                 Err((field, format!("must be a number from {low} to {high}, found {value}")))
             }
         }
@@ -155,9 +162,12 @@ mod tests {
         let with =
             |dead_zone, rate_per_s, idm| Departure { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field);
         assert_eq!(with(0.3, 4.0, IdmSettings::default()), Ok(()));
-        assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone"));
-        assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone"));
-        assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s"));
-        assert_eq!(with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }), Err("accel_mps2"));
+        assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s".to_owned()));
+        assert_eq!(
+            with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }),
+            Err("idm.accel_mps2".to_owned())
+        );
     }
 }

@@ -213,6 +213,13 @@ pub fn line_in_toml(text: &str, field: &str) -> usize {
     line_at(text, locate_in_toml(text, field).start)
 }
 
+/// What TOML text says of a field, as it was written; none where it does not say it.
+#[must_use]
+pub fn written_in_toml<'t>(text: &'t str, field: &str) -> Option<&'t str> {
+    let (span, is_whole) = found_in_toml(text, field);
+    text.get(span).filter(|_| is_whole)
+}
+
 /// Messages of the parser that speak of its own workings, as somebody would say them who wrote the file.
 fn plain(message: &str) -> std::borrow::Cow<'_, str> {
     match message {
@@ -267,8 +274,13 @@ enum PathStep<'a> {
 
 /// Where a field stands in TOML text: as deep as the file spells the path out, for a default may be what is wrong.
 fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
+    found_in_toml(text, field).0
+}
+
+/// The same, and whether that is all of the path.
+fn found_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut span = 0..0;
-    let Ok(root) = toml::de::DeTable::parse(text) else { return span };
+    let Ok(root) = toml::de::DeTable::parse(text) else { return (span, false) };
     let mut table = Some(root.get_ref());
     let mut array = None;
     for step in path_steps(field) {
@@ -276,12 +288,12 @@ fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
             PathStep::Field(name) => table.and_then(|table| table.get(name)),
             PathStep::Index(index) => array.and_then(|array: &toml::de::DeArray<'_>| array.get(index)),
         };
-        let Some(value) = value else { break };
+        let Some(value) = value else { return (span, false) };
         span = value.span();
         table = value.get_ref().as_table();
         array = value.get_ref().as_array();
     }
-    span
+    (span, true)
 }
 
 /// The same for JSON text.

@@ -92,6 +92,15 @@ impl NeedlessBraking {
         steps_of(trace, impacts, index).map(Self::within)
     }
 
+    /// Braking of vehicle `index` harder than a limit, in m/s², where no more than that limit had a cause; none if there is no such
+    /// vehicle. Unlike [`NeedlessBraking::of`] it knows no margin: who brakes at 2.1 m/s² where 1.9 m/s² had a cause brakes harder
+    /// than 2 m/s² without cause.
+    #[must_use]
+    pub fn harder_than(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let is_beyond = |brake: &NeedlessBrake| brake.brake_mps2 > limit_mps2 && brake.caused_mps2 <= limit_mps2;
+        steps_of(trace, impacts, index).map(|steps| Self::braked(steps, is_beyond))
+    }
+
     pub(super) fn within(steps: impl Iterator<Item = Step>) -> Self {
         Self::braked(steps, |brake| brake.brake_mps2 > brake.caused_mps2 + NEEDLESS_MARGIN_MPS2)
     }
@@ -225,6 +234,18 @@ mod tests {
         let bursts = needless(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
         assert!((bursts.time_s - 0.2).abs() < 1e-9 && bursts.count == 1, "{bursts:?}");
         assert_eq!(NeedlessBraking::of(&behind(&[(1.0, 0.0)]), &[], 2), None);
+    }
+
+    #[test]
+    fn braking_harder_than_a_limit_without_cause_by_hand() {
+        let harder = |limit_mps2: f64, pieces: &[(f64, f64)]| {
+            NeedlessBraking::harder_than(limit_mps2, &behind(pieces), &[], 1).unwrap().count
+        };
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.1), (1.0, 0.0), (0.5, -5.0)]), 2, "no margin");
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.0)]), 0, "no harder");
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]), 0, "too short");
+        assert_eq!(harder(0.9 * CAUSED_MPS2, &[(0.5, -0.1)]), 0, "that much had a cause");
+        assert_eq!(NeedlessBraking::harder_than(2.0, &behind(&[(1.0, 0.0)]), &[], 2), None);
     }
 
     #[test]

@@ -1,0 +1,195 @@
+//! What is wrong with a preset is said with file, line and field.
+
+use std::ops::Range;
+use std::path::Path;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use crate::retrain::training_preset;
+use crate::rl::{PRESETS, TrainingConfig};
+
+/// All presets, and a file that names every field there is.
+fn presets() -> impl Iterator<Item = (&'static str, &'static str)> {
+    const RETRAIN: &str = include_str!("../../retrain/preset.toml");
+    assert!(training_preset().is_ok());
+    PRESETS.into_iter().chain([("retrain", RETRAIN), ("all", include_str!("every-field.toml"))])
+}
+
+/// Every value in a text that is no table and no list: the path of its field, and where it stands.
+fn values(text: &str) -> Vec<(String, Range<usize>)> {
+    fn within<'t>(path: &str, value: &Spanned<DeValue<'t>>, found: &mut Vec<(String, Range<usize>)>) {
+        match value.get_ref() {
+            DeValue::Table(table) => of_table(path, table, found),
+            DeValue::Array(list) => {
+                list.iter().enumerate().for_each(|(index, value)| within(&format!("{path}[{index}]"), value, found));
+            }
+            _ => found.push((path.to_owned(), value.span())),
+        }
+    }
+    fn of_table<'t>(path: &str, table: &DeTable<'t>, found: &mut Vec<(String, Range<usize>)>) {
+        let dot = if path.is_empty() { "" } else { "." };
+        table.iter().for_each(|(name, value)| within(&format!("{path}{dot}{}", name.get_ref()), value, found));
+    }
+    let mut found = Vec::new();
+    of_table("", DeTable::parse(text).expect("a preset").get_ref(), &mut found);
+    found
+}
+
+fn line_of(text: &str, offset: usize) -> usize {
+    text[..offset].matches('\n').count() + 1
+}
+
+fn error_of(text: &str) -> Option<String> {
+    TrainingConfig::parse(text, Path::new("own.toml")).err().map(|error| error.to_string())
+}
+
+/// Each value of each preset, replaced by what it cannot be.
+#[test]
+fn whatever_is_spoiled_is_named_with_its_line() {
+    for (preset, text) in presets() {
+        assert_eq!(error_of(text), None, "{preset}");
+        for (field, at) in values(text) {
+            let is_number = text[at.clone()].parse::<f64>().is_ok();
+            let spoils: &[&str] = match &*field {
+                // Any text will do, or any that names a space.
+                "name" => &["3", "true", "[]"],
+                field if field.ends_with("].space") => &["3", "true", "[]"],
+                _ if is_number => {
+                    &["-1e30", "1e39", "nan", "-inf", "\"much\"", "true", "[]", "{ is = 1 }", "9000000000000000000"]
+                }
+                _ => &["3", "\"eyes\"", "[]"],
+            };
+            for spoil in spoils {
+                let spoiled = format!("{}{spoil}{}", &text[..at.start], &text[at.end..]);
+                let said = error_of(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
+                let expected = format!("own.toml:{}: {field}: ", line_of(text, at.start));
+                assert!(said.starts_with(&expected), "{preset}: {field} = {spoil}\n{said}\n{expected}");
+                if said.contains("must be between") {
+                    assert!(said.ends_with(&format!(", found {spoil}")), "as it is written: {said}");
+                }
+            }
+        }
+    }
+}
+
+/// Each line of each preset, left out; and behind each line one that says what nobody knows.
+#[test]
+fn what_is_missing_or_unknown_is_named_with_the_table_that_lacks_or_has_it() {
+    for (preset, text) in presets() {
+        let lines: Vec<&str> = text.lines().collect();
+        let mut header = (0, String::new());
+        for (index, line) in lines.iter().enumerate() {
+            if line.starts_with('[') {
+                header = (index, line.trim_matches(['[', ']']).to_owned());
+            }
+            let Some((key, _)) = line.split_once(" = ").filter(|_| !line.starts_with('#')) else { continue };
+            let nested =
+                |table: &str, key: &str| if table.is_empty() { key.to_owned() } else { format!("{table}.{key}") };
+            // The path of a table of a list has its index.
+            let count = lines[..=header.0].iter().filter(|line| **line == lines[header.0]).count();
+            let table = if lines[header.0].starts_with("[[") {
+                format!("{}[{}]", header.1, count - 1)
+            } else {
+                header.1.clone()
+            };
+
+            let unknown = [&lines[..=index], &["colour = 3"], &lines[index + 1..]].concat().join("\n");
+            let said = error_of(&unknown).unwrap();
+            let expected = format!("own.toml:{}: {}: unknown field `colour`", index + 2, nested(&table, "colour"));
+            assert!(said.starts_with(&expected), "{preset}: {said}\n{expected}");
+
+            let without = [&lines[..index], &["# gone"], &lines[index + 1..]].concat().join("\n");
+            let Some(said) = error_of(&without) else { continue };
+            if said.contains("missing field") {
+                // What the file as a whole lacks has no line of its own.
+                let at = header.0 + 1;
+                let place = if table.is_empty() { String::new() } else { format!("{table}: ") };
+                let expected = format!("own.toml:{at}: {place}missing field `{key}`");
+                assert_eq!(said, expected, "{preset}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_table_that_is_missing_is_named() {
+    let fast = PRESETS[0].1;
+    for table in ["environment", "network", "learning", "exploration", "replay", "td3", "evaluation"] {
+        let mut is_in = false;
+        let without = fast.lines().filter(|line| {
+            if line.starts_with('[') {
+                let header = line.trim_matches(['[', ']']);
+                is_in = header == table || header.starts_with(&format!("{table}."));
+            }
+            !is_in
+        });
+        let text: Vec<&str> = without.collect();
+        assert_eq!(error_of(&text.join("\n")).unwrap(), format!("own.toml:1: missing field `{table}`"));
+    }
+    assert_eq!(error_of("").unwrap(), "own.toml:1: missing field `version`");
+}
+
+#[test]
+fn what_contradicts_itself_is_named() {
+    let fast = PRESETS[0].1;
+    let road = PRESETS[3].1;
+    let without_inputs = |line: &&str| !line.contains("{ offset");
+    let nothing_seen = fast.lines().filter(without_inputs).collect::<Vec<_>>().join("\n");
+    for (text, from, to, expected) in [
+        (fast, "version = 1", "version = 2", "version: version 2 is not supported"),
+        (fast, "hidden = [64, 64, 64]", "hidden = []", "network.hidden: must have 1 to 16 layers, found 0"),
+        (fast, "hidden = [64, 64, 64]", "hidden = [64, 0]", "network.hidden[1]: must be between 1 and 4096, found 0"),
+        (
+            fast,
+            "capacity = 100000",
+            "capacity = 127",
+            "replay.capacity: holds 127 transitions, less than learning.batch",
+        ),
+        (fast, "capacity = 100000", "capacity = 100000000", "replay.capacity: takes some "),
+        (&nothing_seen, "limit = 4.0", "limit = 4.0", "environment.observation.inputs: nothing is seen"),
+        (
+            fast,
+            "actor_rate = 1e-4",
+            "actor_rate = 1.3000000001",
+            "learning.actor_rate: must be between 0 and 1, found 1.3000000001",
+        ),
+        (road, "space = \"high-risk\"", "space = \"traffic\"", "spaces[1].space: `traffic` is named twice"),
+        (
+            road,
+            "time_headway_s = 1.3",
+            "time_headway_s = -1.3",
+            "environment.departs_from.idm.time_headway_s: must be between",
+        ),
+        (
+            road,
+            "idm = { time",
+            "idm = { haste = 1.0, time",
+            "environment.departs_from.idm.haste: unknown field `haste`",
+        ),
+    ] {
+        let said = error_of(&text.replacen(from, to, 1)).expect(to);
+        let (_, rest) = said.split_once(": ").unwrap();
+        assert!(rest.starts_with(expected), "{said}");
+        let line = if expected.contains("nothing is seen") { "[environment.observation.inputs]" } else { from };
+        let at = text.lines().position(|found| found.contains(line)).unwrap() + 1;
+        assert!(said.starts_with(&format!("own.toml:{at}: ")), "{said}, line {at}");
+    }
+}
+
+/// What a file names is looked for only when it is drawn from, and still has the line that names it.
+#[test]
+fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
+    let text = format!(
+        "{}\n[[spaces]]\nspace = \"steady\"\nweight = 1\n[[spaces]]\nweight = 1\nspace = \"nowhere\"\n",
+        PRESETS[0].1
+    );
+    let path = Path::new("own.toml");
+    let config = TrainingConfig::parse(&text, path).unwrap();
+    let said = config.source().unwrap_err().in_text(&text, path).to_string();
+    let line = text.lines().count();
+    assert!(
+        said.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),
+        "{said}"
+    );
+}
