@@ -132,6 +132,10 @@ pub struct LearningConfig {
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
     pub saturation_penalty: f32,
+    /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
+    /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
+    #[serde(default, skip_serializing_if = "is_nothing")]
+    pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rates_fall: Option<RatesFall>,
@@ -147,6 +151,11 @@ impl LearningConfig {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
 fn is_not(flag: &bool) -> bool {
     !*flag
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_nothing(weight: &f32) -> bool {
+    *weight == 0.0
 }
 
 /// Step sizes that fall in a straight line from the end of the random episodes on: a training that goes to and fro around what is
@@ -395,6 +404,7 @@ impl TrainingConfig {
         within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
         within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
         within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
+        within("learning.smoothness_penalty", f64::from(self.learning.smoothness_penalty), [0.0, 1e3])?;
         within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
         within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
         within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;

@@ -190,12 +190,23 @@ impl Learner {
         losses
     }
 
-    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)², into the working space.
+    /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)² + smoothness · mean (π(s) - π(s'))², into the
+    /// working space.
     fn actor_gradient(&mut self, batch: &Batch) {
-        self.act(&batch.states);
-        let Space { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
-        let critic = &self.critics[0].network;
         let n = batch.len() as f32;
+        // Rows of the next states follow those of the states where they count.
+        let smoothness = 2.0 * self.learning.smoothness_penalty / n;
+        let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
+        let Space { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
+        let rows = (batch.states.len() + next_states.len()) / self.inputs;
+        let raw = actor.forward(&self.actor.network, rows, |input| {
+            input.extend_from_slice(&batch.states);
+            input.extend_from_slice(next_states);
+        });
+        actions.clear();
+        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        let (actions, next_actions) = actions.split_at(batch.len());
+        let critic = &self.critics[0].network;
         tape.forward(critic, batch.len(), |input| beside([&batch.states, &batch.privileged], actions, input));
         value_gradients.clear();
         value_gradients.resize(batch.len(), -1.0 / n);
@@ -209,6 +220,12 @@ impl Learner {
                 slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
             }),
         );
+        let changes = actions.iter().zip(next_actions).zip(&batch.continues);
+        for (row, ((&action, &next), &continues)) in changes.enumerate() {
+            let pull = smoothness * continues * (action - next);
+            value_gradients[row] += pull * (1.0 - action * action);
+            value_gradients.push(-pull * (1.0 - next * next));
+        }
         actor_gradients.resize(self.actor.network.parameters().len(), 0.0);
         actor.backward(&self.actor.network, value_gradients, actor_gradients);
     }

@@ -173,7 +173,11 @@ impl Oracle {
         let values =
             self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &raw.tanh()?], 1)?)?;
         let beyond = (raw.abs()? - 1.0)?.relu()?.sqr()?.mean_all()?;
-        (beyond * f64::from(self.learning.saturation_penalty))? - values.mean_all()?
+        let change = (raw.tanh()? - self.actor.network.forward(&rows.next_states)?.tanh()?)?.sqr()?;
+        let change = (change * &rows.continues)?.mean_all()?;
+        let penalties = (beyond * f64::from(self.learning.saturation_penalty))?
+            + (change * f64::from(self.learning.smoothness_penalty))?;
+        penalties? - values.mean_all()?
     }
 
     /// One update. `noise` feeds target smoothing, one normal number a transition, in order.

@@ -19,6 +19,7 @@ fn config(hidden: &[usize]) -> TrainingConfig {
     config.network.final_layer_bound = 1.0;
     config.environment.observation.history = 2;
     config.learning.privileged_critic = true;
+    config.learning.smoothness_penalty = 0.7;
     config
 }
 
@@ -108,6 +109,7 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     let [actor, actor_target] = [&learner.actor.network, &learner.actor.target].map(|n| double(n.parameters()));
     let [critic, critic_target] = [&critic.network, &critic.target].map(|n| double(n.parameters()));
     let (discount, penalty) = (config.learning.discount, f64::from(config.learning.saturation_penalty));
+    let smoothness = f64::from(config.learning.smoothness_penalty);
     let value = |parameters: &[f64], state: &[f64], besides: &[f32], action: f64| {
         forward(critic_sizes, parameters, &[state, &double(besides), &[action]].concat())
     };
@@ -130,9 +132,12 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
         errors.sum::<f64>() / n
     };
     let actor_loss = |parameters: &[f64]| {
-        let each = rows(&batch.states).zip(besides.clone()).map(|(state, besides)| {
-            let raw = forward(actor_sizes, parameters, &state);
-            penalty * (raw.abs() - 1.0).max(0.0).powi(2) - value(&critic, &state, besides, raw.tanh())
+        let states = rows(&batch.states).zip(rows(&batch.next_states).zip(&batch.continues));
+        let each = states.zip(besides.clone()).map(|((state, (next, &continues)), besides)| {
+            let [raw, next_raw] = [&state, &next].map(|seen| forward(actor_sizes, parameters, seen));
+            let change = f64::from(continues) * (raw.tanh() - next_raw.tanh()).powi(2);
+            let penalties = penalty * (raw.abs() - 1.0).max(0.0).powi(2) + smoothness * change;
+            penalties - value(&critic, &state, besides, raw.tanh())
         });
         each.sum::<f64>() / n
     };
@@ -196,7 +201,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         let mut config = config(&[32, 32]);
         config.network.final_layer_bound = 3e-3;
         config.environment.observation.history = 1;
-        config.learning.privileged_critic = false;
+        (config.learning.privileged_critic, config.learning.smoothness_penalty) = (false, 0.0);
         (config.learning.discount, config.learning.soft_update) = (0.8, 0.02);
         (config.learning.actor_rate, config.learning.critic_rate) = (1e-3, 3e-3);
         if td3 {
