@@ -71,7 +71,7 @@ impl Leader {
         }
     }
 
-    /// At instant k, which is a decision's.
+    /// At instant k; within a block of decisions with less of what it has to do with the rest.
     pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
         match self {
             Self::Scripted(braking) => braking.at(k, step),

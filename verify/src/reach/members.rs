@@ -76,6 +76,11 @@ impl Members {
         Self { follower, ..self }
     }
 
+    /// The same egos later within a decision interval.
+    pub(super) fn driven(self, ego: Seen) -> Self {
+        Self { ego, ..self }
+    }
+
     /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
     pub(super) fn moved(&self, wanted: &Form, step: Interval, steps: u32) -> Seen {
         if steps == 0 {
