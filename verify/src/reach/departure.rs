@@ -39,6 +39,10 @@ const FARTHEST: f64 = 2.0;
 /// More than double precision is off by in what follows from law and action, as a share of the largest acceleration there is.
 const ROUNDED: f64 = 1e-14;
 
+/// Plain numbers have to be narrower than a form by this factor to take its place: an ego that forgets what its acceleration depends on no longer knows that it makes
+/// up for what it did before.
+const FORGETS_BELOW: f64 = 0.5;
+
 /// How actions depart from a law, in SI units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Departure {
@@ -103,7 +107,8 @@ impl Departure {
     pub(super) fn acceleration(&self, departs: &Departs, sight: &Sight) -> Form {
         let Departs { up, down, bounds_mps2: [low, high] } = departs;
         let [least, most] = [low, high].map(|bound| Form::constant(Interval::point(*bound)));
-        let law = self.idm.within(sight, &Form::constant(-Interval::point(*low)));
+        let (law, plain) = self.idm.bounds(sight, &Form::constant(-Interval::point(*low)));
+        let law = narrower(law, plain);
         let mut wanted = law.clone();
         for (share, bound) in [(up, &most), (down, &least)] {
             if !share.is_zero() {
@@ -111,13 +116,15 @@ impl Departure {
             }
         }
         wanted.widen(ROUNDED * low.abs().max(high.abs()));
-        if up.is_zero() && down.is_zero() {
-            return wanted;
-        }
-        let plain = departs.plainly(law.range());
-        let is_wider = 2.0 * wanted.radius() > plain.high() - plain.low();
-        if is_wider { Form::constant(plain) } else { wanted }
+        narrower(wanted, departs.plainly(law.range()))
     }
+}
+
+/// A form, unless plain numbers say so much more that it is worth forgetting what they depend on.
+fn narrower(form: Form, plain: Interval) -> Form {
+    let f: f64 = std::env::var("FB").map_or(FORGETS_BELOW, |t| t.parse().unwrap_or(0.5));
+    let is_worth_it = plain.high() - plain.low() < f * 2.0 * form.radius();
+    if is_worth_it { Form::constant(plain) } else { form }
 }
 
 /// How far actions depart, for as long as they are held.

@@ -16,6 +16,11 @@
 //! is dropped. As long as all instants of a window are in one decision interval, every observed acceleration of the follower is
 //! known; see [`window`](super::window). Nothing uses that the guard of the members that fire was not negative before: they are a subset of what is driven.
 //!
+//! # What is observed of others
+//! Who brakes from some time on is seen to accelerate at 0 or at -b, or at the mean of both in the one step in between: at a decision before which some members begin
+//! to brake, or stop, that is two or three numbers, and not all from one to the other. An ego that [departs](super::departure) from a law answers each of them in a case of its own. What comes of the cases
+//! is joined at the next decision, and next to nothing is lost where no answer leaves the dead zone.
+//!
 //! # Contact
 //! Gaps are compared at decisions. In between g'' ≤ m, the most the vehicle ahead accelerates (at least 0) less the least the one
 //! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable). An ego
@@ -47,6 +52,9 @@ const BESIDES: u64 = 50_000;
 const A_SYMBOL: u64 = 1_000;
 const A_STEP: u64 = 10_000;
 const A_SYMBOL_BY_LAW: u64 = 3_000;
+/// The places of the accelerations ahead and behind in what is observed.
+const AHEAD: usize = 5;
+const BEHIND: usize = 7;
 /// Bounds wider than this are given up, in m/s.
 const WIDEST_MPS: f64 = 40.0;
 
@@ -80,6 +88,24 @@ struct Set {
     members: Members,
     seen: [Form; OBSERVED],
     gaps: [Form; 2],
+    /// The accelerations ahead and behind that are observed, one by one, where each is looked at by itself.
+    apart: [Vec<Form>; 2],
+}
+
+impl Set {
+    /// The same egos, once for each pair of accelerations ahead and behind that they may observe.
+    fn cases(&self) -> Vec<Self> {
+        let mut cases = vec![self.clone()];
+        for (accelerations, number) in self.apart.iter().zip([AHEAD, BEHIND]).filter(|(all, _)| all.len() > 1) {
+            let seeing = |acceleration: &Form, case: &Self| {
+                let mut case = case.clone();
+                case.seen[number].clone_from(acceleration);
+                case
+            };
+            cases = cases.iter().flat_map(|case| accelerations.iter().map(move |a| seeing(a, case))).collect();
+        }
+        cases
+    }
 }
 
 /// A box on its way: who leads, where everybody starts, and what is known of the gaps.
@@ -189,9 +215,9 @@ impl Drive<'_> {
         while k < self.scene.steps && sets.iter().any(Option::is_some) {
             let mut next: ByKind<Set> = ByKind::default();
             let (mut window, mut stays) = (Window::at(k), true);
-            for set in sets.iter().flatten() {
-                self.record(k, &set.seen);
-                let course = self.decide(k, set)?;
+            sets.iter().flatten().for_each(|set| self.record(k, &set.seen));
+            for set in sets.iter().flatten().flat_map(Set::cases) {
+                let course = self.decide(k, &set)?;
                 if let (Some(follower), true) = (follower, has_not_fired)
                     && let Some((instants, surely)) = self.firing(k, &set.members, &course, follower)
                 {
@@ -314,6 +340,7 @@ impl Drive<'_> {
         let ego = members.ego.clone();
         let [ahead, behind] = &self.gaps;
         let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
+        let of_follower = follower.map_or_else(Vec::new, |follower| follower.accelerations(k, self.step));
         let follower = members.follower.clone().or_else(|| Some(follower?.at(k, self.step)));
         let (behind, follower) = match follower {
             Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
@@ -323,10 +350,14 @@ impl Drive<'_> {
             }
         };
         let gaps = [ahead.clone(), behind.clone()];
+        let apart = match self.scene.actor.departs_from {
+            Some(_) => [self.leader.accelerations(k, self.step), of_follower],
+            None => [Vec::new(), Vec::new()],
+        };
         let (speeds, accelerations) =
             ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
         let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
-        Set { members, seen: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps }
+        Set { members, seen: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps, apart }
     }
 
     /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and

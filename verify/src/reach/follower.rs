@@ -257,12 +257,17 @@ impl<'a> Behind<'a> {
 
 impl Idm {
     /// What a vehicle does of what it asks for that brakes at up to `brake`.
-    pub(super) fn within(&self, sight: &Sight, brake: &Form) -> Form {
-        let acceleration = able(&self.wanted(sight, brake), brake, self.max_accel_mps2);
+    fn within(&self, sight: &Sight, brake: &Form) -> Form {
+        let (acceleration, plain) = self.bounds(sight, brake);
         // Of a gap that may be next to nothing a line says less than plain numbers do.
-        let plain = self.plainly(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2));
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
         if is_wider { Form::constant(plain) } else { acceleration }
+    }
+
+    /// The same, as a form and by plain numbers.
+    pub(super) fn bounds(&self, sight: &Sight, brake: &Form) -> (Form, Interval) {
+        let acceleration = able(&self.wanted(sight, brake), brake, self.max_accel_mps2);
+        (acceleration, self.plainly(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
     }
 
     fn wanted(&self, Sight { gap, speed, closing }: &Sight, brake: &Form) -> Form {
