@@ -108,3 +108,6 @@ fn stepped(Seen { distance, speed, .. }: &Seen, wanted: &Form, step: Interval) -
     distance.shift((reversing * step * half).hull(Interval::ZERO));
     Seen { distance, speed: rectified_above(&end, -most_reversing.high()), acceleration: Form::default() }
 }
+
+#[cfg(test)]
+mod tests;

@@ -41,7 +41,7 @@ const ROUNDED: f64 = 1e-14;
 
 /// Plain numbers have to be narrower than a form by this factor to take its place: an ego that forgets what its acceleration depends on no longer knows that it makes
 /// up for what it did before.
-const FORGETS_BELOW: f64 = 0.5;
+const FORGETS_BELOW: f64 = 0.9;
 
 /// How actions depart from a law, in SI units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,8 +122,7 @@ impl Departure {
 
 /// A form, unless plain numbers say so much more that it is worth forgetting what they depend on.
 fn narrower(form: Form, plain: Interval) -> Form {
-    let f: f64 = std::env::var("FB").map_or(FORGETS_BELOW, |t| t.parse().unwrap_or(0.5));
-    let is_worth_it = plain.high() - plain.low() < f * 2.0 * form.radius();
+    let is_worth_it = plain.high() - plain.low() < FORGETS_BELOW * 2.0 * form.radius();
     if is_worth_it { Form::constant(plain) } else { form }
 }
 
@@ -168,3 +167,6 @@ pub(super) fn errors_of_sight(observation_error: &[f64; OBSERVED]) -> [f64; 3] {
     let [gap, _, ahead, own, ..] = *observation_error;
     [gap, own, own + ahead]
 }
+
+#[cfg(test)]
+mod tests;
