@@ -88,7 +88,11 @@ impl Course {
 
     /// Whether egos that stand go on standing.
     pub(super) fn stands(&self, kind: Kind) -> bool {
-        kind == Kind::Standing && self.acts_mps2().high() <= 0.0
+        let stood = match self {
+            Self::Held(_) => true,
+            Self::Steps(Steps { egos, .. }) => egos.iter().all(|ego| ego.speed.is_zero()),
+        };
+        kind == Kind::Standing && stood && self.acts_mps2().high() <= 0.0
     }
 }
 

@@ -76,9 +76,10 @@ impl Members {
         Self { follower, ..self }
     }
 
-    /// The same egos later within a decision interval.
+    /// The same egos later within a decision interval. Those that stood and now may move have started again.
     pub(super) fn driven(self, ego: Seen) -> Self {
-        Self { ego, ..self }
+        let may_move = self.kind == Kind::Standing && !ego.speed.is_zero();
+        Self { kind: if may_move { Kind::Restarted } else { self.kind }, ego, ..self }
     }
 
     /// All egos `steps` steps into a decision interval; what they accelerate at is left open.

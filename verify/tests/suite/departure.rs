@@ -1,13 +1,13 @@
 //! What is claimed of an ego that departs from a law is true of each member.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{Actor, Departure, Follower, Idm, Law, Scene, Step, reach, reach_with_tube};
+use crumple_verify::reach::{Actor, Departure, Dimension, Follower, Idm, Law, Scene, Step, reach, reach_with_tube};
 use proptest::prelude::*;
 
 use crate::driven::{IDM, any_law};
 use crate::led::unscripted;
 use crate::reach::{LATCHED, any_ranges, any_unit, attacked, is_bounded, member, paper, scene};
-use crate::support::closed_loop::{Numbers, scripted, simulate_told};
+use crate::support::closed_loop::{Numbers, scripted, simulate, simulate_told};
 use crate::support::networks::departing;
 
 /// Departures from any `idm`, at once or, some of them, slowly.
@@ -107,4 +107,22 @@ fn a_box_of_a_learned_policy_survives_search() {
     println!("proved {proved_m:.3} m, found {found_m:.3} m {reached:?}");
     assert_eq!(reached.doubt, None);
     assert!(found_m >= proved_m && proved_m > found_m - 0.1, "{found_m} {proved_m}");
+}
+
+/// An ego that stood, started within a decision interval and brakes again is not one that stands from then on.
+#[test]
+fn who_starts_within_an_interval_is_followed_on() {
+    let departure = Departure { dead_zone: 0.0, rate_per_s: 1000.0, idm: own() };
+    let actor = departing(&[12, 9], 1.760_118_541_084_301_7, 15_521_200_961_166_277_192, Some(departure));
+    let start = [28.457_4, 0.0, 12.064_57, 0.0, 0.0, 4.290_4, 0.0, 72.658];
+    let mut ranges = paper(0.0, 0.0);
+    for (dimension, value) in Dimension::ALL.into_iter().zip(start) {
+        *ranges.get_mut(dimension) = Interval::point(value);
+    }
+    let whole = scene(&actor, ranges);
+    let scene = Scene { follower: None, stop_at_doubt: false, step_s: 0.5, steps: 100, decision_steps: 2, ..whole };
+    let run = simulate(&scene, start);
+    let starts_and_brakes = run.0.windows(2).any(|pair| pair[0][3] == 0.0 && pair[1][3] > 1.0 && pair[1][6] > 0.0);
+    assert!(starts_and_brakes, "the case is still one");
+    is_bounded(&scene, &reach_with_tube(&scene), run, &start).unwrap();
 }

@@ -82,3 +82,22 @@ fn who_is_asked_for_nothing_stands() {
     assert!(of([-1.0, 0.0]).stands(Kind::Standing) && !of([-1.0, 0.0]).stands(Kind::Moving));
     assert!(!of([0.5, -1.0]).stands(Kind::Standing));
 }
+
+/// Who starts in the first of several steps is no longer one that stands at the next decision, whatever it does then.
+#[test]
+fn who_starts_again_within_an_interval_has_started_again() {
+    let step = Interval::point(STEP_S);
+    let standing = Members::starting(Form::default(), SHARED_SYMBOLS);
+    assert_eq!(standing.kind, Kind::Standing);
+    for (rates, kinds) in [
+        ([1.0, 0.5], [Some(Kind::Restarted), None]),
+        ([1.0, -0.5], [Some(Kind::Restarted), None]),
+        ([-1.0, 0.5], [Some(Kind::Restarted), None]),
+        ([-1.0, -0.5], [Some(Kind::Standing), None]),
+    ] {
+        let course = Course::stepwise(&standing.ego, 2, step, |j, _| exactly(rates[j as usize]));
+        let next = course.after(&standing, step, 2);
+        assert_eq!(next.each_ref().map(|members| members.as_ref().map(|members| members.kind)), kinds, "{rates:?}");
+        assert_eq!(course.stands(Kind::Standing), rates[0] < 0.0 && rates[1] < 0.0);
+    }
+}
