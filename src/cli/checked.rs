@@ -175,14 +175,12 @@ impl Checked<'_> {
             }
             _ => {}
         }
-        if accepted.is_err() {
-            return text;
-        }
+        let Ok(shown) = accepted else { return text };
         if let Statement::Rate(rate) = &certificate.statement {
             text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
         }
         text += &counts.iter().map(|counts| format!("  {}\n", Terminal(&counts.words()))).collect::<String>();
-        text += &certificate.scope().to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
+        text += &certificate.scope_of(shown).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  which is the built-in one of that name\n",
             Some(false) => text += "  which is NOT the built-in one of that name\n",
@@ -289,7 +287,7 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         }
         _ => {}
     }
-    let scope = certificate.scope();
+    let scope = accepted.as_ref().map_or_else(|_| certificate.scope(), |accepted| certificate.scope_of(accepted));
     let refuted = match counts {
         Some(Counts::Refuted { because }) => Some(because.clone()),
         _ => None,

@@ -19,7 +19,7 @@ use crumple_world::sim::NamedController;
 #[command(after_long_help = "\
 The network, the vehicles and the follower's emergency brake are bounded for all members of a box at once, rounding included. \
 A box that stays undecided is cut in two, again and again, up to a million boxes, whatever --depth is; the rest stays undecided. The policy sees the truth, or numbers within the stated errors of it. \
-The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
+A policy whose action departs from a law is followed step by step. The policy file is written beside the certificate, which `crumple-verify` checks from these two files alone.
 
 A network from outside (F.onnx, F.zip, or a controller file F.toml) is written there as crumple has read it. The certificate \
 assumes that this is what the source file means; `crumple check --policy F.onnx` reads the source again. What it sees has to be sums and \

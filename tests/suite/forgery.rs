@@ -203,6 +203,9 @@ fn genuine() -> Vec<Genuine> {
     // One that is verified, and one that a leader within the limit falsifies.
     all.extend([0.02, 7.5].map(|limit| reach(Policy::reference(), &format!("leader_brakes_at_most_mps2 = {limit}\n"))));
     all.extend(["idm", "acc-aeb"].map(|law| reach(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))));
+    // One that departs from a law.
+    let road = Policy::load(&network("../policy/road.safetensors")).expect("there");
+    all.push(reach(std::sync::Arc::new(road), ""));
     all.extend([cruise(1), cruise(2)]);
     let kernel = |(_, certificate)| Genuine { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));

@@ -1,6 +1,6 @@
 //! Policy files as the simulator reads them and as the checker does: a certificate must not speak of what nobody can drive with.
 
-use crumple_verify::reach::Actor;
+use crumple_verify::reach::{Actor, Idm};
 use crumple_world::policy::Policy;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -8,11 +8,13 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 #[test]
 fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
-    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes()];
+    // One of them departs from a law.
+    let road = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/road.safetensors")).unwrap();
+    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &road];
     let (mut refused, mut accepted) = (0, 0);
     for seed in 0..6000 {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut bytes = genuine[seed as usize % 2].to_vec();
+        let mut bytes = genuine[seed as usize % 3].to_vec();
         let header = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
         let in_header = random.random_range(8..8 + header);
         match random.random_range(0..6_u32) {
@@ -34,6 +36,17 @@ fn the_checker_refuses_whatever_policy_file_the_simulator_refuses() {
                 let action = &policy.header().action;
                 assert_eq!(actor.action_mps2, [action.low_mps2, action.high_mps2], "{seed}");
                 assert_eq!(actor.decision_interval_s, policy.header().decision_interval_s, "{seed}");
+                let of_checker = actor.departs_from.map(|departure| {
+                    let Idm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = departure.idm;
+                    let law = [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2];
+                    ([departure.dead_zone, departure.rate_per_s, departure.idm.comfortable_brake_mps2], law)
+                });
+                let of_simulator = action.departs_from.as_ref().map(|departure| {
+                    let idm = &departure.idm;
+                    let law = [idm.desired_speed_mps, idm.time_headway_s, idm.standstill_gap_m, idm.accel_mps2];
+                    ([departure.dead_zone, departure.rate_per_s, idm.comfortable_brake_mps2], law)
+                });
+                assert_eq!(of_checker, of_simulator, "{seed}");
             }
             (Err(_), _) => refused += 1,
         }

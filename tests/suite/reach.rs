@@ -1,6 +1,7 @@
 //! What is proved of networks from outside is true of what the simulator does with them.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crumple_search::evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
@@ -10,7 +11,7 @@ use crumple_world::control::{
 };
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Policy;
+use crumple_world::policy::{Network, Policy};
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{ControllerKind, NamedController, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
 use rand::seq::IndexedRandom;
@@ -124,26 +125,17 @@ fn observed(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
     seen
 }
 
-/// Random networks, random boxes, whoever follows: what is certified is accepted, every trajectory is inside the tube, no gap is smaller than proved, and
-/// what is falsified touches.
-#[test]
-fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
-    let [mut verified, mut falsified, mut compared] = [0; 3];
-    for seed in 0..60 {
-        let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
-        let network = std::sync::Arc::new(any_network(random));
-        let options = RunOptions::new(network.clone()).with_estimator(EstimatorKind::Truth);
-        let size = [0.0, 0.05, 0.3][seed as usize % 3];
-        let ranges = format!(
-            "gap_ahead_m = {{ low = {}, high = 16.1 }}\nego_speed_mps = {{ low = 24.9, high = {} }}",
-            16.0 - size,
-            24.9 + size
-        );
-        let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
-        let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::named);
-        let follower_drives = followers[seed as usize % 4 % 3].clone().map(Driver::Controller);
-        let spec = BoxSpec { follower_drives, ..spec(scenario, &ranges) };
-        let plan = ReachPlan::new(network, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
+/// How much was compared.
+#[derive(Debug, Default)]
+struct Compared {
+    verified: usize,
+    falsified: usize,
+    numbers: usize,
+}
+
+impl Compared {
+    /// What is certified of a plan is accepted, every trajectory is inside the tube, no gap is smaller than proved, and what is falsified touches.
+    fn certified(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
         let partition = plan.partition(2, |_| ()).unwrap();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()));
         assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");
@@ -153,7 +145,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
         let whole = claim.scene(&actor).unwrap();
         for (cell, ranges, _) in claim.leaves().unwrap() {
             if let Cell::Falsified(point) = cell {
-                falsified += 1;
+                self.falsified += 1;
                 let outcome = simulate(
                     &Run::new(&plan.scenario_at(&point).unwrap(), options.clone()).unwrap(),
                     RecordingLevel::Summary,
@@ -167,7 +159,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
                 let run = simulate(&Run::new(&scenario, options.clone()).unwrap(), RecordingLevel::Trace);
                 let trace = run.trace.as_ref().expect("recorded");
                 if cell == Cell::Verified {
-                    verified += 1;
+                    self.verified += 1;
                     assert_eq!(run.outcome, Outcome::NoCollision, "{seed}");
                     let gaps = (0..trace.time_s.len()).flat_map(|k| observed(trace, k));
                     let least =
@@ -185,14 +177,79 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
                         let bound = bounds[number];
                         let inside = bound.low() - 1e-7 <= seen && seen <= bound.high() + 1e-7;
                         assert!(inside, "{seed}: number {number} at decision {decision}: {seen} not in {bound:?}");
-                        compared += 1;
+                        self.numbers += 1;
                     }
                 }
             }
         }
     }
-    println!("{verified} runs in verified cells, {falsified} falsified cells, {compared} numbers compared");
-    assert!(verified > 10 && falsified > 10 && compared > 50_000, "{verified} {falsified} {compared}");
+}
+
+/// A box around a scenario of the paper, as wide as the number says, with whoever behind.
+fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
+    let size = [0.0, 0.05, 0.3][seed as usize % 3];
+    let ranges = format!(
+        "gap_ahead_m = {{ low = {}, high = 16.1 }}\nego_speed_mps = {{ low = 24.9, high = {} }}",
+        16.0 - size,
+        24.9 + size
+    );
+    let scenario = if random.random_bool(0.5) { "paper-1" } else { "paper-2" };
+    let followers = ["baseline", "idm", "acc-aeb"].map(ControllerSpec::named);
+    let follower_drives = followers[seed as usize % 4 % 3].clone().map(Driver::Controller);
+    BoxSpec { follower_drives, ..spec(scenario, &ranges) }
+}
+
+/// Random networks, random boxes, whoever follows.
+#[test]
+fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
+    let mut compared = Compared::default();
+    for seed in 0..60 {
+        let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+        let network = Arc::new(any_network(random));
+        let options = RunOptions::new(network.clone()).with_estimator(EstimatorKind::Truth);
+        let spec = any_box(seed, random);
+        let plan = ReachPlan::new(network, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
+        compared.certified(&plan, &options, random, seed);
+    }
+    println!("{compared:?}");
+    let Compared { verified, falsified, numbers } = compared;
+    assert!(verified > 10 && falsified > 10 && numbers > 50_000, "{verified} {falsified} {numbers}");
+}
+
+/// The committed policy whose action is a departure from a law, and others: with any weights, or with weights of its own that are stretched, from other laws,
+/// and with other dead zones.
+#[test]
+fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
+    let road = Policy::load(&corpus("../policy/road.safetensors")).unwrap();
+    let mut compared = Compared::default();
+    for seed in 0..60 {
+        let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
+        let (mut header, mut network) = (road.header().clone(), road.network().clone());
+        if seed % 4 > 0 {
+            let departure = header.action.departs_from.as_mut().expect("it departs");
+            departure.dead_zone = random.random_range(0.0..0.9);
+            departure.idm.time_headway_s = random.random_range(0.0..2.0);
+            departure.idm.standstill_gap_m = random.random_range(0.5..4.0);
+            departure.idm.accel_mps2 = random.random_range(0.3..4.0);
+        }
+        match seed % 4 {
+            2 => network.parameters_mut().iter_mut().for_each(|weight| *weight *= random.random_range(0.5..1.2)),
+            3 => {
+                header.hidden = vec![12, 9];
+                network = Network::zeros(&[8, 12, 9, 1]);
+                network.parameters_mut().iter_mut().for_each(|weight| *weight = random.random_range(-0.5..0.5));
+            }
+            _ => {}
+        }
+        let policy = Arc::new(Policy::new(header, network).unwrap());
+        let options = RunOptions::new(policy.clone()).with_estimator(EstimatorKind::Truth);
+        let spec = any_box(seed / 2, random);
+        let plan = ReachPlan::new(policy, &spec).unwrap_or_else(|error| panic!("{seed}: {error}"));
+        compared.certified(&plan, &options, random, seed);
+    }
+    println!("{compared:?}");
+    let Compared { verified, falsified, numbers } = compared;
+    assert!(verified > 10 && falsified > 0 && numbers > 50_000, "{verified} {falsified} {numbers}");
 }
 
 /// Of the reference policy it is the same whichever file it came in: only its last tanh is done a step earlier.

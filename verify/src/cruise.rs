@@ -202,6 +202,7 @@ pub fn bounds(actor: &Actor, cells: u32) -> Result<Found, Unshown> {
 
 fn bounds_within(actor: &Actor, cells: u32, work: &Work) -> Result<Found, Unshown> {
     let is_plain = actor.answer == 0 && actor.scale_mps2 == 1.0 && actor.offset_mps2 == 0.0;
+    let is_plain = is_plain && actor.departs_from.is_none();
     let is_uncut = !actor.is_cut || actor.action_mps2 == [-FARTHEST, FARTHEST];
     if actor.inputs != inputs() || !is_plain || !is_uncut || actor.decision_interval_s != PERIOD_S {
         return Err(Unshown::OtherInputs);

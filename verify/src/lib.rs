@@ -145,6 +145,8 @@ pub enum Accepted {
         has_follower: bool,
         /// The limit within which the leader brakes as it likes, in m/s²; none if it brakes as scripted.
         leader_brakes_at_most_mps2: Option<f64>,
+        /// The law from which the policy departs, if it does.
+        departs_from: Option<reach::Departure>,
     },
     /// From every start of the benchmark of adaptive cruise control the distance is kept.
     Cruise {
@@ -231,6 +233,7 @@ impl std::fmt::Display for Accepted {
                 horizon_s,
                 has_follower,
                 leader_brakes_at_most_mps2: limit,
+                ..
             } => write!(
                 formatter,
                 "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s, {}{}; \

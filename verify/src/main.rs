@@ -42,7 +42,7 @@ fn judge(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     match check_within(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            println!("  {}", certificate.scope().to_string().replace('\n', "\n  "));
+            println!("  {}", certificate.scope_of(&accepted).to_string().replace('\n', "\n  "));
             println!("  version {}, SHA-256 of its canonical form {}", certificate.version, certificate.digest());
             if let Some(caveat) = certificate.caveat() {
                 println!("  {caveat}");

@@ -3,6 +3,7 @@
 
 use std::fmt;
 
+use crate::Accepted;
 use crate::certificate::{Certificate, Statement};
 use crate::claim::{Ego, Held, Scene};
 use crate::cruise::{self, Cruise};
@@ -10,6 +11,9 @@ use crate::interval::Interval;
 use crate::kernel::Kernel;
 use crate::rate::Registration;
 use crate::reach::{Dimension, Reach, Source};
+
+/// Of the vehicles of a reach the one under test.
+const UNDER_TEST: usize = 1;
 
 /// What a statement is about, in words, and nothing of what it claims.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,6 +46,18 @@ impl Certificate {
         };
         scope.about = self.about();
         scope.has_afterwards = matches!(self.statement, Statement::Avoidable(_));
+        scope
+    }
+
+    /// The same, with what the certificate does not say itself and its check has read of the policy.
+    #[must_use]
+    pub fn scope_of(&self, accepted: &Accepted) -> Scope {
+        let mut scope = self.scope();
+        if let Accepted::Reach { departs_from: Some(departure), .. } = accepted
+            && let Some(ego) = scope.vehicles.get_mut(UNDER_TEST)
+        {
+            *ego += &format!("; {departure}");
+        }
         scope
     }
 

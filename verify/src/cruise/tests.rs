@@ -101,6 +101,7 @@ fn affine(of_speed: f64, a: f64) -> Actor {
         offset_mps2: 0.0,
         action_mps2: [-FARTHEST, FARTHEST],
         is_cut: true,
+        departs_from: None,
         empty_gap_m: 80.0,
         decision_interval_s: PERIOD_S,
         source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),

@@ -30,6 +30,7 @@ use serde::{Deserialize, Serialize};
 
 use super::activation::Each;
 use super::bounds::{Bounds, Inputs};
+use super::departure::Departure;
 use super::form::Form;
 use super::relax::rectified;
 use crate::interval::Interval;
@@ -53,7 +54,7 @@ pub struct Actor {
     pub steps: Vec<Step>,
     /// Which of its answers counts, from 0.
     pub answer: usize,
-    /// What the answer is multiplied with, in m/s².
+    /// What the answer is multiplied with, in m/s²; 1 where it is an action that departs from a law, and then nothing is added to it.
     pub scale_mps2: f64,
     /// What is added to that, in m/s².
     pub offset_mps2: f64,
@@ -61,6 +62,8 @@ pub struct Actor {
     pub action_mps2: [f64; 2],
     /// Whether these are kept by cutting what goes beyond them, or nothing can.
     pub is_cut: bool,
+    /// The law from which it departs; none if it answers with an acceleration.
+    pub departs_from: Option<Departure>,
     /// The gap that stands in for a vehicle that is not there, in metres.
     pub empty_gap_m: f64,
     /// Time between decisions, in seconds.
@@ -157,13 +160,15 @@ pub struct Own {
     pub empty_gap_m: f64,
     /// Accelerations for a tanh of -1 and 1, in m/s².
     pub action_mps2: [f64; 2],
+    /// The law that it departs from towards these, if it does.
+    pub departs_from: Option<Departure>,
     /// Time between decisions, in seconds.
     pub decision_interval_s: f64,
 }
 
 impl From<Own> for Actor {
     fn from(own: Own) -> Self {
-        let Own { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s } = own;
+        let Own { layers, offset, scale, limit, empty_gap_m, action_mps2, departs_from, decision_interval_s } = own;
         let input = |i: usize| Input {
             of: std::array::from_fn(|j| f64::from(u8::from(i == j))),
             constant: 0.0,
@@ -174,14 +179,17 @@ impl From<Own> for Actor {
             high: limit,
         };
         let [low, high] = action_mps2;
+        let stretched = [0.5 * (high - low), 0.5 * (low + high)];
+        let [scale_mps2, offset_mps2] = if departs_from.is_some() { [1.0, 0.0] } else { stretched };
         Self {
             inputs: (0..OBSERVED).map(input).collect(),
             steps: rectified_between(layers).chain([Step::Each(Each::Tanh)]).collect(),
             answer: 0,
-            scale_mps2: 0.5 * (high - low),
-            offset_mps2: 0.5 * (low + high),
+            scale_mps2,
+            offset_mps2,
             action_mps2,
             is_cut: false,
+            departs_from,
             empty_gap_m,
             decision_interval_s,
             source: None,
@@ -222,7 +230,8 @@ impl Actor {
         self.steps.iter().map(of_step).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
     }
 
-    /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s², with somebody behind or not.
+    /// The acceleration that is wanted for observations of which each may be off by `error`, in m/s², with somebody behind or not; of who
+    /// departs from a law the action.
     #[must_use]
     pub fn decide(&self, seen: &[Form; OBSERVED], error: &[f64; OBSERVED], is_followed: bool) -> Form {
         self.decide_within(seen, error, is_followed, &Work::within(WorkLimit::NONE))

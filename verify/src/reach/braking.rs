@@ -64,6 +64,33 @@ impl Braking {
         since.low() >= 0.0 && (self.speed.range() - self.rate.range() * since * step).high() <= 0.0
     }
 
+    /// What the acceleration of the step before instant k may have been, each a form of its own: none, the mean of a step in which it began to
+    /// brake, or the rate. One of them is that of [`at`](Self::at) where they are one.
+    pub(super) fn accelerations(&self, k: u32, step: Interval) -> Vec<Form> {
+        let k = f64::from(k);
+        let [first, last] = [self.onset_range.low(), self.onset_range.high()];
+        let since = Form::constant(Interval::point(k - 1.0)).minus(&self.onset);
+        // A step ago, if it had begun to brake.
+        let speed = self.speed.clone().minus(&self.rate.times(&rectified(&since).scaled(step))).range();
+        let (has_begun, begins_at_instants) = (first <= k - 1.0, self.mean_held_m == Interval::ZERO);
+        let stands = self.speed.range().low() <= 0.0 || has_begun && speed.low() <= 0.0;
+        let mut all = Vec::new();
+        if last >= k || stands || self.rate.is_zero() {
+            all.push(Form::default());
+        }
+        if let Some(share) = Interval::new(k - last.min(k), k - first.max(k - 1.0))
+            && share.low() < 1.0
+            && share.high() > 0.0
+            && !begins_at_instants
+        {
+            all.push(Form::constant(-(self.rate.range() * share.max(Interval::ZERO).min(Interval::ONE))));
+        }
+        if has_begun && speed.high() > 0.0 {
+            all.push(self.rate.scaled(Interval::point(-1.0)));
+        }
+        all
+    }
+
     /// At instant k.
     pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
         let k = f64::from(k);

@@ -43,6 +43,7 @@ pub(super) fn affine(of: [f64; OBSERVED], constant: f64) -> Actor {
         offset_mps2: 0.0,
         action_mps2: [-8.0, 3.0],
         is_cut: false,
+        departs_from: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: None,

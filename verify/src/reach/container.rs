@@ -190,6 +190,7 @@ mod tests {
             offset_mps2: 0.0,
             action_mps2: [-1.0, 1.0],
             is_cut: true,
+            departs_from: None,
             empty_gap_m: 80.0,
             decision_interval_s: 0.1,
             source: None,

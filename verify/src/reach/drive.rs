@@ -1,7 +1,8 @@
 //! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
 //!
 //! Leader and follower brake to standstill at some time: see [`braking`](super::braking); or the leader brakes as it likes: see
-//! [`led`](super::led); or the follower drives by a law: see [`follower`](super::follower). What the ego does from one decision to the next: see [`members`](super::members).
+//! [`led`](super::led); or the follower drives by a law: see [`follower`](super::follower). What the ego does from one decision to the next: see [`members`](super::members),
+//! and where it departs from a law, [`course`](super::course) and [`departure`](super::departure).
 //!
 //! # Sets
 //! There is a set for each kind of ego: those that move, those that stand, those that have started again. Sets of a kind are joined
@@ -15,10 +16,15 @@
 //! is dropped. As long as all instants of a window are in one decision interval, every observed acceleration of the follower is
 //! known; see [`window`](super::window). Nothing uses that the guard of the members that fire was not negative before: they are a subset of what is driven.
 //!
+//! # What is observed of others
+//! Who brakes from some time on is seen to accelerate at 0 or at -b, or at the mean of both in the one step in between: at a decision before which some members begin
+//! to brake, or stop, that is two or three numbers, and not all from one to the other. An ego that [departs](super::departure) from a law answers each of them in a case of its own. What comes of the cases
+//! is joined at the next decision, and next to nothing is lost where no answer leaves the dead zone.
+//!
 //! # Contact
 //! Gaps are compared at decisions. In between g'' ≤ m, the most the vehicle ahead accelerates (at least 0) less the least the one
 //! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable). An ego
-//! that still moves at the end has not stopped in between: then "at least 0" is not needed for it. The gap to a follower that
+//! that still moves at the end has not stopped in between, unless it follows a law and may have started again: then "at least 0" is not needed for it. The gap to a follower that
 //! stands never falls, whatever bounds of the ego say, which hold members that reverse.
 //!
 //! # Standstill
@@ -26,10 +32,12 @@
 
 use super::actor::{Actor, OBSERVED};
 use super::braking::{Braking, Seen};
-use super::follower::{Behind, Follower, Law};
+use super::course::Course;
+use super::departure::{Departs, Departure, errors_of_sight};
+use super::follower::{Behind, Follower, Law, Sight};
 use super::form::Form;
 use super::led::Leader;
-use super::members::{ByKind, Kind, Members, SHARED_SYMBOLS};
+use super::members::{ByKind, Members, SHARED_SYMBOLS};
 use super::window::{Window, merged};
 use super::{Dimension, Doubt, Ranges, Reached};
 use crate::interval::Interval;
@@ -44,6 +52,9 @@ const BESIDES: u64 = 50_000;
 const A_SYMBOL: u64 = 1_000;
 const A_STEP: u64 = 10_000;
 const A_SYMBOL_BY_LAW: u64 = 3_000;
+/// The places of the accelerations ahead and behind in what is observed.
+const AHEAD: usize = 5;
+const BEHIND: usize = 7;
 /// Bounds wider than this are given up, in m/s.
 const WIDEST_MPS: f64 = 40.0;
 
@@ -77,6 +88,24 @@ struct Set {
     members: Members,
     seen: [Form; OBSERVED],
     gaps: [Form; 2],
+    /// The accelerations ahead and behind that are observed, one by one, where each is looked at by itself.
+    apart: [Vec<Form>; 2],
+}
+
+impl Set {
+    /// The same egos, once for each pair of accelerations ahead and behind that they may observe.
+    fn cases(&self) -> Vec<Self> {
+        let mut cases = vec![self.clone()];
+        for (accelerations, number) in self.apart.iter().zip([AHEAD, BEHIND]).filter(|(all, _)| all.len() > 1) {
+            let seeing = |acceleration: &Form, case: &Self| {
+                let mut case = case.clone();
+                case.seen[number].clone_from(acceleration);
+                case
+            };
+            cases = cases.iter().flat_map(|case| accelerations.iter().map(move |a| seeing(a, case))).collect();
+        }
+        cases
+    }
 }
 
 /// A box on its way: who leads, where everybody starts, and what is known of the gaps.
@@ -186,23 +215,23 @@ impl Drive<'_> {
         while k < self.scene.steps && sets.iter().any(Option::is_some) {
             let mut next: ByKind<Set> = ByKind::default();
             let (mut window, mut stays) = (Window::at(k), true);
-            for set in sets.iter().flatten() {
-                self.record(k, &set.seen);
-                let wanted = self.decide(k, set)?;
+            sets.iter().flatten().for_each(|set| self.record(k, &set.seen));
+            for set in sets.iter().flatten().flat_map(Set::cases) {
+                let course = self.decide(k, &set)?;
                 if let (Some(follower), true) = (follower, has_not_fired)
-                    && let Some((instants, surely)) = self.firing(k, &set.members, &wanted, follower)
+                    && let Some((instants, surely)) = self.firing(k, &set.members, &course, follower)
                 {
                     window.note(set.members.kind, instants);
                     if surely {
                         continue;
                     }
                 }
-                stays &= set.members.kind == Kind::Standing && wanted.range().high() <= 0.0;
-                let (driven, behind_m) = self.follow(&set.members, &wanted).unzip();
+                stays &= course.stands(set.members.kind);
+                let (driven, behind_m) = self.follow(&set.members, &course).unzip();
                 let members = set.members.clone().followed(driven);
-                for members in members.after_decision(&wanted, self.step, every).into_iter().flatten() {
+                for members in course.after(&members, self.step, every).into_iter().flatten() {
                     let now = self.look(k + every, members, follower);
-                    if self.compare(k, &set.gaps, &now, wanted.range(), follower, behind_m) {
+                    if self.compare(k, &set.gaps, &now, &course, follower, behind_m) {
                         self.tube = None;
                     } else if self.scene.stop_at_doubt && self.reached.doubt.is_some() {
                         return None;
@@ -254,18 +283,40 @@ impl Drive<'_> {
         Some(all_touch)
     }
 
-    /// What a set wants, in m/s²; none where it is given up.
-    fn decide(&mut self, k: u32, Set { members, seen, .. }: &Set) -> Option<Form> {
+    /// What a set does until the next decision; none where it is given up.
+    fn decide(&mut self, k: u32, Set { members, seen, .. }: &Set) -> Option<Course> {
         let of_leader = A_SYMBOL * self.leader.symbols() as u64;
         self.work.may_do(BESIDES + of_leader + A_STEP * u64::from(self.scene.decision_steps));
         let Scene { actor, observation_error, follower, .. } = self.scene;
         let wanted = actor.decide_within(seen, observation_error, follower.is_some(), self.work);
         let wanted = wanted.settled(members.symbols);
         if members.ego.speed.radius() < WIDEST_MPS && wanted.radius() < WIDEST_MPS {
-            return Some(wanted);
+            return Some(match &actor.departs_from {
+                Some(departure) => self.depart(k, members, departure, &wanted),
+                None => Course::Held(wanted),
+            });
         }
         self.doubt(Doubt::TooWide { step: k }, &members.ego.speed);
         None
+    }
+
+    /// What a set does that departs from a law, as far as an action says.
+    fn depart(&self, k: u32, members: &Members, departure: &Departure, action: &Form) -> Course {
+        let Scene { actor, observation_error, step_s, decision_steps, .. } = self.scene;
+        self.work.may_do(A_SYMBOL_BY_LAW * members.symbols as u64 * u64::from(*decision_steps));
+        let [low, high] = actor.action_mps2;
+        if !departure.takes_a_step(*step_s) {
+            let any = Interval::new(low, high).unwrap_or(Interval::LINE);
+            return Course::stepwise(&members.ego, *decision_steps, self.step, |_, _| Form::constant(any));
+        }
+        let departs = Departs::new(departure, action, actor.action_mps2);
+        let errors = errors_of_sight(observation_error);
+        Course::stepwise(&members.ego, *decision_steps, self.step, |j, ego| {
+            let leader = self.leader.at(k + j, self.step);
+            let gap = self.gaps[0].clone().plus(&leader.distance).minus(&ego.distance);
+            let seen = [gap, ego.speed.clone(), ego.speed.clone().minus(&leader.speed)];
+            departure.acceleration(&departs, &Sight::within(seen, errors))
+        })
     }
 
     fn others_have_stood(&self, k: u32, follower: Option<&Braking>) -> bool {
@@ -289,6 +340,7 @@ impl Drive<'_> {
         let ego = members.ego.clone();
         let [ahead, behind] = &self.gaps;
         let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
+        let of_follower = follower.map_or_else(Vec::new, |follower| follower.accelerations(k, self.step));
         let follower = members.follower.clone().or_else(|| Some(follower?.at(k, self.step)));
         let (behind, follower) = match follower {
             Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
@@ -298,19 +350,23 @@ impl Drive<'_> {
             }
         };
         let gaps = [ahead.clone(), behind.clone()];
+        let apart = match self.scene.actor.departs_from {
+            Some(_) => [self.leader.accelerations(k, self.step), of_follower],
+            None => [Vec::new(), Vec::new()],
+        };
         let (speeds, accelerations) =
             ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
         let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
-        Set { members, seen: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps }
+        Set { members, seen: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps, apart }
     }
 
     /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and
     /// whether it surely does.
-    fn firing(&self, k: u32, members: &Members, wanted: &Form, follower: &Braking) -> Option<([f64; 2], bool)> {
+    fn firing(&self, k: u32, members: &Members, course: &Course, follower: &Braking) -> Option<([f64; 2], bool)> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
-            let ego = members.moved(wanted, self.step, j);
+            let ego = course.moved(members, self.step, j);
             let mut guard = self.gaps[1].clone().plus(&ego.distance);
             guard.add(&ego.speed, theta);
             guard.add(&follower.speed, -(theta + Interval::point(f64::from(k + j)) * self.step));
@@ -327,15 +383,15 @@ impl Drive<'_> {
     }
 
     /// Who follows by a law, at the next decision, and a bound of the gap until then, in metres.
-    fn follow(&self, members: &Members, wanted: &Form) -> Option<(Seen, f64)> {
+    fn follow(&self, members: &Members, course: &Course) -> Option<(Seen, f64)> {
         let start = members.follower.as_ref()?;
         self.work.may_do(A_SYMBOL_BY_LAW * members.symbols as u64 * u64::from(self.scene.decision_steps));
         let behind = Behind::new(self.scene.law()?, &self.scene.ranges, &self.gaps[1], self.step);
         let eighth = self.step.sqr() * Interval::point(0.125);
-        let ahead = wanted.range().max(Interval::ZERO);
+        let ahead = course.acts_mps2().max(Interval::ZERO);
         let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
         for j in 1..=self.scene.decision_steps {
-            let ego_later = members.moved(wanted, self.step, j);
+            let ego_later = course.moved(members, self.step, j);
             let (later, acceleration) = behind.stepped(&own, &ego);
             // As in `compare`, over one step.
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
@@ -352,19 +408,20 @@ impl Drive<'_> {
         k: u32,
         before: &[Form; 2],
         now: &Set,
-        acts_mps2: Interval,
+        course: &Course,
         follower: Option<&Braking>,
         driven_m: Option<f64>,
     ) -> bool {
         let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
         let eighth = interval.sqr() * Interval::point(0.125);
+        let acts_mps2 = course.acts_mps2();
         let braking = (-acts_mps2).max(Interval::ZERO);
         let least_m = |pair: usize, m: Interval| {
             let least = before[pair].range().min(now.gaps[pair].range());
             (least - m * eighth).low()
         };
         // Nobody is behind the ego, or somebody who brakes at most as hard as stated.
-        let moves = now.members.ego.speed.range().low() > 0.0;
+        let moves = course.moves_throughout(&now.members.ego.speed);
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
         // Nobody reverses: the gap to a follower that stands never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));

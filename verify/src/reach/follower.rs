@@ -98,18 +98,21 @@ pub struct AccAeb {
     pub max_accel_mps2: f64,
 }
 
+impl fmt::Display for Idm {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, .. } = self;
+        write!(
+            out,
+            "drives idm towards {desired_speed_mps} m/s with a time headway of {time_headway_s} s, {standstill_gap_m} m at standstill, \
+             {accel_mps2} and {comfortable_brake_mps2} m/s²"
+        )
+    }
+}
+
 impl fmt::Display for Law {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Idm(law) => write!(
-                out,
-                "drives idm towards {} m/s with a time headway of {} s, {} m at standstill, {} and {} m/s²",
-                law.desired_speed_mps,
-                law.time_headway_s,
-                law.standstill_gap_m,
-                law.accel_mps2,
-                law.comfortable_brake_mps2
-            ),
+            Self::Idm(law) => law.fmt(out),
             Self::AccAeb(law) => write!(
                 out,
                 "drives acc-aeb with a time headway of {} s, {} m at standstill, gains {} and {}, from -{} to {} m/s², and full braking while its \
@@ -177,8 +180,8 @@ pub(super) struct Behind<'a> {
     step: Interval,
 }
 
-/// What a follower sees at an instant.
-struct Sight {
+/// What a law sees at an instant.
+pub(super) struct Sight {
     gap: Form,
     speed: Form,
     /// v - w.
@@ -186,8 +189,14 @@ struct Sight {
 }
 
 impl Sight {
-    fn of(mut gap: Form, mut speed: Form, mut closing: Form) -> Self {
-        [&mut gap, &mut speed, &mut closing].into_iter().for_each(|form| form.widen(ROUNDED));
+    fn of(gap: Form, speed: Form, closing: Form) -> Self {
+        Self::within([gap, speed, closing], [0.0; 3])
+    }
+
+    /// The same of gap, speed and v - w that may be off by so much more.
+    pub(super) fn within(mut seen: [Form; 3], errors: [f64; 3]) -> Self {
+        seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(ROUNDED + error));
+        let [gap, speed, closing] = seen;
         Self { gap, speed, closing }
     }
 }
@@ -221,14 +230,7 @@ impl<'a> Behind<'a> {
     fn acceleration(&self, sight: &Sight) -> Form {
         let hardest = || self.brake.scaled(Interval::point(-1.0));
         match self.law {
-            Law::Idm(law) => {
-                let acceleration = self.able(&law.wanted(sight, &self.brake));
-                // Of a gap that may be next to nothing a line says less than plain numbers do.
-                let most = Interval::point(self.law.max_accel_mps2());
-                let plain = law.plainly(sight).max(-self.brake.range()).min(most);
-                let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
-                if is_wider { Form::constant(plain) } else { acceleration }
-            }
+            Law::Idm(law) => law.within(sight, &self.brake),
             Law::AccAeb(law) => {
                 let guard = law.guard(sight).range();
                 if guard.high() < 0.0 {
@@ -249,12 +251,25 @@ impl<'a> Behind<'a> {
 
     /// What the vehicle does of what is asked for.
     fn able(&self, wanted: &Form) -> Form {
-        let most = Form::constant(Interval::point(self.law.max_accel_mps2()));
-        smaller(&larger(wanted, &self.brake.scaled(Interval::point(-1.0))), &most)
+        able(wanted, &self.brake, self.law.max_accel_mps2())
     }
 }
 
 impl Idm {
+    /// What a vehicle does of what it asks for that brakes at up to `brake`.
+    fn within(&self, sight: &Sight, brake: &Form) -> Form {
+        let (acceleration, plain) = self.bounds(sight, brake);
+        // Of a gap that may be next to nothing a line says less than plain numbers do.
+        let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
+        if is_wider { Form::constant(plain) } else { acceleration }
+    }
+
+    /// The same, as a form and by plain numbers.
+    pub(super) fn bounds(&self, sight: &Sight, brake: &Form) -> (Form, Interval) {
+        let acceleration = able(&self.wanted(sight, brake), brake, self.max_accel_mps2);
+        (acceleration, self.plainly(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
+    }
+
     fn wanted(&self, Sight { gap, speed, closing }: &Sight, brake: &Form) -> Form {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
@@ -312,6 +327,12 @@ impl AccAeb {
         let most = Form::constant(point(self.comfort_accel_mps2));
         smaller(&larger(&smaller(&cruise, &follow), &least), &most)
     }
+}
+
+/// What a vehicle does of what is asked for, that brakes at up to `brake` and accelerates at up to a number.
+fn able(wanted: &Form, brake: &Form, max_accel_mps2: f64) -> Form {
+    let most = Form::constant(Interval::point(max_accel_mps2));
+    smaller(&larger(wanted, &brake.scaled(Interval::point(-1.0))), &most)
 }
 
 /// The larger of two: b + max(0, a - b).

@@ -71,7 +71,15 @@ impl Leader {
         }
     }
 
-    /// At instant k, which is a decision's.
+    /// What its acceleration in the step before instant k may have been, each a form of its own; none if that of [`at`](Self::at) says all.
+    pub(super) fn accelerations(&self, k: u32, step: Interval) -> Vec<Form> {
+        match self {
+            Self::Scripted(braking) => braking.accelerations(k, step),
+            Self::Within(_) => Vec::new(),
+        }
+    }
+
+    /// At instant k; within a block of decisions with less of what it has to do with the rest.
     pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
         match self {
             Self::Scripted(braking) => braking.at(k, step),

@@ -76,6 +76,12 @@ impl Members {
         Self { follower, ..self }
     }
 
+    /// The same egos later within a decision interval. Those that stood and now may move have started again.
+    pub(super) fn driven(self, ego: Seen) -> Self {
+        let may_move = self.kind == Kind::Standing && !ego.speed.is_zero();
+        Self { kind: if may_move { Kind::Restarted } else { self.kind }, ego, ..self }
+    }
+
     /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
     pub(super) fn moved(&self, wanted: &Form, step: Interval, steps: u32) -> Seen {
         if steps == 0 {

@@ -1,6 +1,6 @@
 //! The closed loop of a learned policy, from every start of a box.
 //!
-//! Behind a leader that brakes drives an ego whose accelerations a network decides; behind it, perhaps, a follower with a latched
+//! Behind a leader that brakes drives an ego whose accelerations a network decides, or how far they depart from a law; behind it, perhaps, a follower with a latched
 //! emergency brake, or one that follows by a law. A *reach* statement cuts a box of starts in halves again and again; of some of the boxes it ends with it
 //! claims that no member ever touches anybody, of others that they hold a point that does. Both are derived here again, from the
 //! file of the network and the cuts alone: [`form`] are the numbers, [`relax`] the functions, [`actor`] bounds the network, [`activation`]
@@ -18,6 +18,7 @@
 //! | products (braking rate and time) | product of the radii | second order |
 //! | standing or not | a set for those who move and one for those who stand, joined at each decision | some centimetres |
 //! | who follows by a law | the [law](follower), step by step | second order in the width; more where its emergency brake may fire |
+//! | an ego that departs from a law | [law and departure](departure), step by step | second order in the width; more where the action may leave its dead zone or not |
 //! | which instant the follower fires at | a run for each decision interval in which it may, the instant a symbol | little |
 //! | what decisions long past were off by | symbols that act alike become one | next to nothing |
 //! | inside a decision interval | m (D h)²/8 off the smaller gap at its ends | about 2 cm |
@@ -37,6 +38,8 @@ pub mod braking;
 #[cfg(test)]
 mod cases;
 mod container;
+mod course;
+pub mod departure;
 pub mod drive;
 pub mod follower;
 pub mod form;
@@ -59,6 +62,7 @@ use crate::work::Work;
 use crate::{Accepted, Rejection};
 pub use activation::Each;
 pub use actor::{Actor, Format, Input, Layer, OBSERVED, Own, Source, Step};
+pub use departure::Departure;
 use drive::reach_within;
 pub use drive::{Scene, Tube, reach, reach_with_tube};
 pub use follower::{AccAeb, Follower, Idm, Law};
@@ -190,6 +194,14 @@ impl Reach {
         if !(1..=MOST_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
             return Err(Rejection::invalid("steps", "must be from one decision to 100 000"));
         }
+        if let Some(departure) = actor.departs_from.filter(|departure| !departure.takes_a_step(self.step_s)) {
+            let (rate, step_s) = (departure.rate_per_s, self.step_s);
+            let problem = format!(
+                "lets departures from its law come and go at {rate} 1/s: over a step of {step_s} s that is no more than a part of the way, and \
+                 only who goes all of it within a step can be followed"
+            );
+            return Err(Rejection::Policy { problem });
+        }
         let decision_steps = decision_steps as u32;
         if !self.steps.is_multiple_of(decision_steps) {
             return Err(Rejection::invalid("steps", "must be whole decisions"));
@@ -308,6 +320,7 @@ pub(crate) fn check(claim: &Reach, policy: Option<&[u8]>, is_old: bool, work: &W
         horizon_s: claim.horizon_s(),
         has_follower: scene.follower.is_some(),
         leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
+        departs_from: actor.departs_from,
     })
 }
 

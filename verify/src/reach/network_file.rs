@@ -217,6 +217,7 @@ pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String
         offset_mps2,
         action_mps2: [low_mps2, high_mps2],
         is_cut: true,
+        departs_from: None,
         empty_gap_m: header.empty_gap_m,
         decision_interval_s: header.decision_interval_s,
         source: Some(header.source),

@@ -1,10 +1,11 @@
 //! crumple's own policies: what the text in the file says of the network.
 
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 
 use super::actor::{Actor, Layer, OBSERVED, Own};
 use super::container::{Container, MOST_NUMBERS, WIDEST_LAYER};
+use super::departure::Departure;
+use super::follower::Idm;
 use crate::canonical::NoNameTwice;
 
 /// The only version of the text that describes a policy.
@@ -44,6 +45,7 @@ struct Scaling {
     limit: f64,
     empty_gap_m: f64,
     history: Option<usize>,
+    history_every: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -51,7 +53,57 @@ struct Scaling {
 struct Bounds {
     low_mps2: f64,
     high_mps2: f64,
-    departs_from: Option<IgnoredAny>,
+    departs_from: Option<Departing>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Departing {
+    dead_zone: f64,
+    rate_per_s: f64,
+    #[serde(default)]
+    idm: Settings,
+}
+
+/// What is not stated is as the simulator has it.
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Settings {
+    desired_speed_mps: f64,
+    time_headway_s: f64,
+    standstill_gap_m: f64,
+    accel_mps2: f64,
+    comfortable_brake_mps2: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            desired_speed_mps: 120.0 / 3.6,
+            time_headway_s: 1.6,
+            standstill_gap_m: 2.0,
+            accel_mps2: 0.73,
+            comfortable_brake_mps2: 1.67,
+        }
+    }
+}
+
+impl Bounds {
+    /// What the actions depart from, if it is a law.
+    fn departure(&self) -> Option<Departure> {
+        let Departing { dead_zone, rate_per_s, ref idm } = *self.departs_from.as_ref()?;
+        let Settings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } = *idm;
+        let max_accel_mps2 = self.high_mps2;
+        let idm = Idm {
+            desired_speed_mps,
+            time_headway_s,
+            standstill_gap_m,
+            accel_mps2,
+            comfortable_brake_mps2,
+            max_accel_mps2,
+        };
+        Some(Departure { dead_zone, rate_per_s, idm })
+    }
 }
 
 impl Header {
@@ -68,21 +120,21 @@ impl Header {
         if hidden.len() > MOST_LAYERS || numbers > MOST_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
-        let Scaling { offset, scale, limit, empty_gap_m, history } = observation;
+        let Scaling { offset, scale, limit, empty_gap_m, history, history_every } = observation;
         let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
         let positive = scale.iter().chain([limit, empty_gap_m, decision_interval_s]).all(is_positive);
         if !positive || !offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling that makes no sense".to_owned());
         }
-        if history.is_some_and(|history| history != 1) {
+        // How far apart, where there is one alone, has no meaning, and would look as if it had.
+        if history.or(*history_every).is_some_and(|decisions| decisions != 1) {
             let is_not = "only a network that sees nothing but the present can be followed";
             return Err(format!("{KEY}: observation: history: {is_not}"));
         }
-        let Bounds { low_mps2: low, high_mps2: high, departs_from } = action;
-        if departs_from.is_some() {
-            let is_not = "its acceleration is not the network's answer alone, and of that law nothing is proved here";
-            return Err(format!("{KEY}: action: departs from a law of driving: {is_not}"));
+        if let Some(Err(problem)) = action.departure().map(|departure| departure.check()) {
+            return Err(format!("{KEY}: action: departs_from: {problem}"));
         }
+        let Bounds { low_mps2: low, high_mps2: high, .. } = action;
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
@@ -103,10 +155,11 @@ pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String
         Ok(Layer { inputs, outputs, weights, biases })
     });
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
-    let Scaling { offset, scale, limit, empty_gap_m, history: _ } = header.observation;
+    let Scaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } = header.observation;
     let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
+    let departs_from = header.action.departure();
     let decision_interval_s = header.decision_interval_s;
-    Ok(Own { layers, offset, scale, limit, empty_gap_m, action_mps2, decision_interval_s }.into())
+    Ok(Own { layers, offset, scale, limit, empty_gap_m, action_mps2, departs_from, decision_interval_s }.into())
 }
 
 #[cfg(test)]

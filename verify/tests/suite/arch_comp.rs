@@ -97,6 +97,7 @@ fn actor(steps: Vec<Step>) -> Actor {
         offset_mps2: 0.0,
         action_mps2: [-1e6, 1e6],
         is_cut: true,
+        departs_from: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),

@@ -341,6 +341,7 @@ fn results_are_said_in_words() {
             horizon_s,
             has_follower,
             leader_brakes_at_most_mps2,
+            departs_from: None,
         }
         .to_string()
     };

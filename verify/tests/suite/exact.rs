@@ -4,12 +4,13 @@ use crumple_verify::reach::{Actor, Cell, Follower, Scene, Tube, reach_with_tube}
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
+use crate::departure::any_departure;
 use crate::driven::any_law;
 use crate::led::unscripted;
 use crate::reach::{LATCHED, any_ranges, any_unit, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, Start, simulate};
 use crate::support::exact::{Exact, TooClose, drive};
-use crate::support::networks::{any_network, network};
+use crate::support::networks::{any_network, departing};
 
 /// Errors of what is observed: each the largest there is, to one side or the other, or none.
 fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
@@ -76,8 +77,9 @@ proptest! {
         limit_mps2 in prop::option::of(0.0..6.0_f64), observation_error in any_errors(),
         every in prop::sample::select(vec![1_u32, 2, 5, 10]), places in prop::collection::vec((any_unit(), any::<u64>()), 4),
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
+        departs_from in prop::option::of(any_departure()),
     ) {
-        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
+        let actor = gain.map_or_else(|| any_network(seed), |gain| departing(&[12, 9], gain, seed, departs_from));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = Scene {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,

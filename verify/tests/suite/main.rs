@@ -11,6 +11,7 @@
 mod arch_comp;
 mod avoidable;
 mod certificates;
+mod departure;
 mod driven;
 mod exact;
 mod form;

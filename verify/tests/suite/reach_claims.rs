@@ -1,6 +1,6 @@
 //! Reach statements that make no sense are refused, each with the name of what is wrong.
 
-use crumple_verify::reach::{AccAeb, Actor, Cell, Dimension, Idm, Law, Layer, Own, Ranges, Reach};
+use crumple_verify::reach::{AccAeb, Actor, Cell, Departure, Dimension, Idm, Law, Layer, Own, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};
 
 use crate::driven::{ACC_AEB, IDM};
@@ -13,6 +13,7 @@ fn actor() -> Actor {
         limit: 1.5,
         empty_gap_m: 80.0,
         action_mps2: [-7.5, 3.0],
+        departs_from: None,
         decision_interval_s: 0.1,
     })
 }
@@ -142,15 +143,41 @@ fn with_header(change: impl Fn(&mut String, &mut String)) -> Vec<u8> {
     [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &bytes[8 + length..]].concat()
 }
 
+fn replace(text: &mut String, from: &str, to: &str) {
+    assert!(text.contains(from), "{from} in {text}");
+    *text = text.replacen(from, to, 1);
+}
+
+/// Lets actions depart from a law.
+fn departing(text: &mut String, how: &str) {
+    replace(text, "\"low_mps2\":-7.5", &format!("\"low_mps2\":-7.5,\"departs_from\":{{{how}}}"));
+}
+
+/// Of a law that is read it is known what drives: numbers that are not stated are the simulator's.
+#[test]
+fn a_policy_that_departs_from_a_law_is_read_with_it() {
+    let how = |how: &str| Actor::from_bytes(&with_header(|text, _| departing(text, how))).unwrap();
+    let Law::Idm(idm) = IDM else { panic!() };
+    let departure = Departure { dead_zone: 0.3, rate_per_s: 200.0, idm };
+    let actor = how("\"dead_zone\":0.3,\"rate_per_s\":200");
+    assert_eq!((actor.departs_from, actor.scale_mps2, actor.offset_mps2), (Some(departure), 1.0, 0.0));
+    assert_eq!(actor.action_mps2, [-7.5, 3.0]);
+    let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
+    let idm = Idm { time_headway_s: 1.3, ..idm };
+    assert_eq!(other.departs_from, Some(Departure { idm, ..departure }));
+    // A step of 0.01 s is enough for all of the way at 200 1/s, and not at 199.
+    assert!(claim().scene(&actor).is_ok());
+    let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
+    let refused = claim().scene(&slow).unwrap_err();
+    assert!(matches!(refused, Rejection::Policy { .. }), "{refused:?}");
+    assert!(refused.to_string().contains("at 199 1/s: over a step of 0.01 s"), "{refused}");
+}
+
 #[test]
 fn what_the_simulator_does_not_drive_with_is_refused() {
     assert!(Actor::from_bytes(&with_header(|_, _| ())).is_ok());
     type Change = fn(&mut String, &mut String);
-    fn replace(text: &mut String, from: &str, to: &str) {
-        assert!(text.contains(from), "{from} in {text}");
-        *text = text.replacen(from, to, 1);
-    }
-    let changes: [(&str, Change); 14] = [
+    let changes: [(&str, Change); 18] = [
         ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
         ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
         ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),
@@ -159,12 +186,18 @@ fn what_the_simulator_does_not_drive_with_is_refused() {
         ("estimator: \"lidar\" is not known", |text, _| replace(text, "\"kalman\"", "\"lidar\"")),
         ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
         ("sees nothing but the present", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
-        ("departs from a law of driving", |text, _| {
-            replace(
-                text,
-                "\"low_mps2\":-7.5",
-                "\"low_mps2\":-7.5,\"departs_from\":{\"dead_zone\":0.3,\"rate_per_s\":4.0}",
-            );
+        ("action: departs_from: dead_zone: 1 is not from 0 to 0.99", |text, _| {
+            departing(text, "\"dead_zone\":1.0,\"rate_per_s\":4.0")
+        }),
+        ("action: departs_from: rate_per_s: 2000 is not", |text, _| {
+            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":2e3")
+        }),
+        ("action: departs_from: accel_mps2: 0 is not", |text, _| {
+            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"accel_mps2\":0.0}");
+        }),
+        ("missing field `rate_per_s`", |text, _| departing(text, "\"dead_zone\":0.3")),
+        ("unknown field `max_accel_mps2`", |text, _| {
+            departing(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"max_accel_mps2\":1.0}");
         }),
         ("unknown field `note`", |_, header| replace(header, "\"crumple_policy\"", "\"note\":\"\",\"crumple_policy\"")),
         ("duplicate key \"actor.0.bias\"", |_, header| {

@@ -427,6 +427,7 @@ fn of_rejected(rejection: Rejection) -> InvalidBox {
         Rejection::Invalid { field, problem } if field.starts_with("ranges.") || field == "observation_error" => {
             InvalidBox::field(&field, problem)
         }
+        Rejection::Policy { problem } => InvalidBox::Controller(problem),
         // The rest is the scenario's.
         other => InvalidBox::field("scenario", format!("its {other}")),
     }

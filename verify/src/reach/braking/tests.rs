@@ -52,3 +52,42 @@ fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
     assert_bounds(braking.at(5, step).acceleration.range(), [-6.0, 0.0], 1e-10);
     assert!(braking.at(2, step).acceleration.is_zero());
 }
+
+proptest! {
+    /// What each member is seen to have done in the step before is one of the accelerations that are told apart, and of one that brakes from an instant on there
+    /// is one, but for the step in which it stops.
+    #[test]
+    fn every_member_is_seen_to_do_one_of_what_is_told_apart(
+        v in prop_oneof![1 => Just(0.0), 6 => 0.1..30.0_f64], b in 0.5..9.0_f64, onset in 0.0..40.0_f64, k in 0..120_u32,
+        widths in prop::array::uniform3(0.0..3.0_f64), places in prop::array::uniform3(0.0..=1.0_f64),
+    ) {
+        let at = |i: usize, low: f64| low + places[i] * widths[i];
+        let (speed, rate, begins) = (at(0, v), at(1, b), at(2, onset));
+        let braking = braking([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
+        let share = (f64::from(k) - begins).clamp(0.0, 1.0);
+        let a_step_ago = speed - rate * (f64::from(k) - 1.0 - begins).max(0.0) * STEP_S;
+        prop_assume!(k > 0 && a_step_ago.abs() > 1e-9 || speed == 0.0);
+        let seen = if a_step_ago > 0.0 { -rate * share } else { 0.0 };
+        let all = braking.accelerations(k, Interval::point(STEP_S));
+        let holds = |form: &Form| form.range().low() <= seen + 1e-9 && seen - 1e-9 <= form.range().high();
+        prop_assert!(all.iter().any(holds), "{seen} {all:?}");
+        prop_assert!(all.len() <= 3);
+    }
+}
+
+/// Some have not begun, some began in this very step, and some brake; who brakes at instants only has not begun within a step.
+#[test]
+fn what_is_told_apart_is_what_there_is() {
+    let step = Interval::point(STEP_S);
+    let mut braking = braking([20.0, 21.0], [5.0, 6.0], [2.0, 5.5]);
+    let ranges = |braking: &Braking, k| braking.accelerations(k, step).iter().map(Form::range).collect::<Vec<_>>();
+    assert_eq!(ranges(&braking, 1), [Interval::ZERO]);
+    let three = ranges(&braking, 4);
+    assert_eq!(three.len(), 3);
+    assert_eq!(three[0], Interval::ZERO);
+    assert_bounds(three[1], [-6.0, 0.0], 1e-10);
+    assert_bounds(three[2], [-6.0, -5.0], 1e-10);
+    assert_eq!(ranges(&braking, 7).len(), 1);
+    braking.mean_held_m = Interval::ZERO;
+    assert_eq!(ranges(&braking, 4).len(), 2);
+}

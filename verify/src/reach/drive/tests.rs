@@ -131,7 +131,12 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
         let scene = Scene { follower: LATCHED, decision_steps: 4, ..scene(&actor, ranges) };
         let drive = drive(&scene, &work);
         let follower = drive.follower([100.0, 100.0]);
-        drive.firing(8, &Members::starting(exactly(speeds[0]), SHARED_SYMBOLS), &exactly(wanted), &follower)
+        drive.firing(
+            8,
+            &Members::starting(exactly(speeds[0]), SHARED_SYMBOLS),
+            &Course::Held(exactly(wanted)),
+            &follower,
+        )
     };
     // The follower alone has driven for 0.8 s, and both are as fast.
     assert_eq!(firing([8.1, 9.0], [10.0; 2], 0.0), None);
@@ -156,7 +161,7 @@ fn the_gap_to_who_follows_by_a_law_is_bounded_in_each_step() {
     let drive = drive(&scene, &work);
     let at_rest = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
     let members = Members::starting(exactly(15.0), SHARED_SYMBOLS).followed(Some(at_rest(exactly(20.0))));
-    let follow = |mps2: f64| drive.follow(&members, &exactly(mps2)).unwrap();
+    let follow = |mps2: f64| drive.follow(&members, &Course::Held(exactly(mps2))).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
         let (follower, least_m) = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
@@ -187,8 +192,8 @@ fn gaps_are_bounded_between_decisions() {
         let set = drive.look(0, Members::starting(exactly(speed), SHARED_SYMBOLS), Some(&follower));
         let now = Set { gaps: [exactly(7.0), exactly(4.0)], ..set };
         let before = [exactly(6.0), exactly(5.0)];
-        let acts = Interval::new(acts[0], acts[1]).unwrap();
-        assert!(!drive.compare(0, &before, &now, acts, Some(&follower), None));
+        let acts = Course::Held(Form::constant(Interval::new(acts[0], acts[1]).unwrap()));
+        assert!(!drive.compare(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
         for (found, expected) in drive.reached.gaps_m.into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
@@ -205,7 +210,7 @@ fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
     let mut drive = drive(&scene, &work);
     let set = drive.look(0, Members::starting(Form::default(), SHARED_SYMBOLS), None);
     let before = set.gaps.clone();
-    assert!(!drive.compare(3, &before, &set, Interval::ZERO, None, None));
+    assert!(!drive.compare(3, &before, &set, &Course::Held(Form::default()), None, None));
     assert!(matches!(drive.reached.doubt, Some(Doubt::MayTouch { pair: 0, step: 3, gap_m: -1e-300..=0.0 })));
 }
 

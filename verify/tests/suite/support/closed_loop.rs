@@ -1,11 +1,11 @@
 //! A simulation of the closed loop in a few lines, sharing nothing with the crate but the description of the network.
 
-use crumple_verify::reach::{Actor, Each, Follower, Input, Law, Layer, Scene, Step};
+use crumple_verify::reach::{Actor, Departure, Each, Follower, Idm, Input, Law, Layer, Scene, Step};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type Start = [f64; 8];
 
-/// The network in single precision, products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
+/// The network's answer in single precision: an acceleration, or an action; products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
 pub fn act(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &Input| {
         let sum = input.of.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
@@ -52,16 +52,37 @@ fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
     if end < 0.0 { (v * v / (-2.0 * a), 0.0) } else { (v * h + 0.5 * a * h * h, end) }
 }
 
+/// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
+fn idm(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
+    let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
+    let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
+    let share = (idm.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
+    let free = 1.0 - (v / idm.desired_speed_mps).powi(4);
+    idm.accel_mps2 * (free - share * share)
+}
+
+/// What somebody asks for who departs from a law, and how far he has departed: an action moves that by so much a step at most.
+fn departed(
+    departure: &Departure,
+    so_far: &mut f64,
+    action: f64,
+    [low, high]: [f64; 2],
+    step: f64,
+    seen: [f64; 3],
+) -> f64 {
+    let zone = departure.dead_zone;
+    let aim = if action.abs() <= zone { 0.0 } else { action.signum() * (action.abs() - zone) / (1.0 - zone) };
+    let most = departure.rate_per_s * step;
+    *so_far = aim.clamp(*so_far - most, *so_far + most);
+    let law = idm(&departure.idm, seen).clamp(low, high);
+    let bound = if *so_far < 0.0 { low } else { high };
+    (law + so_far.abs() * (bound - law)).clamp(low, high)
+}
+
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
 fn followed(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
-        Law::Idm(idm) => {
-            let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
-            let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
-            let share = (idm.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
-            let free = 1.0 - (v / idm.desired_speed_mps).powi(4);
-            (idm.accel_mps2 * (free - share * share), idm.max_accel_mps2)
-        }
+        Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
         Law::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
         Law::AccAeb(acc) => {
             let cruise = acc.speed_gain_per_s * (*set_speed.get_or_insert(v) - v);
@@ -89,7 +110,7 @@ pub fn simulate_led(scene: &Scene<'_>, start: Start, brake_l: impl Fn(u32) -> f6
     simulate_told(scene, start, brake_l, |_| [0.0; 8])
 }
 
-/// The same, and what is observed is off by an error of its own at each decision.
+/// The same, and what is observed is off by an error of its own at each decision and until the next.
 pub fn simulate_told(
     scene: &Scene<'_>,
     start: Start,
@@ -98,8 +119,8 @@ pub fn simulate_told(
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
     let Scene { actor, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
-    let mut set_speed = None;
-    let (mut a_l, mut a_e, mut a_r, mut wanted, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
+    let (mut set_speed, mut so_far) = (None, 0.0);
+    let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
         let seen = match follower {
@@ -109,8 +130,16 @@ pub fn simulate_told(
         if k % every == 0 {
             trace.push(seen);
             let error = error(k / every);
-            wanted = act(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
+            answer = act(actor, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
         }
+        let wanted = match &actor.departs_from {
+            None => answer,
+            Some(departure) => {
+                let error = error(k / every);
+                let seen = [0, 3, 2].map(|i| seen[i] + error[i]);
+                departed(departure, &mut so_far, answer, actor.action_mps2, h, seen)
+            }
+        };
         let wanted_r = match follower {
             Some(Follower::Latched { ttc_s }) => {
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;

@@ -6,7 +6,7 @@
 use std::ops::{Add, Mul, Neg, Sub};
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{Actor, Each, Follower, Input, Law, Layer, Scene, Step};
+use crumple_verify::reach::{Actor, Departure, Each, Follower, Idm, Input, Law, Layer, Scene, Step};
 use num_bigint::BigInt;
 
 use super::closed_loop::Start;
@@ -190,7 +190,7 @@ impl Mul for Exact {
     }
 }
 
-/// What the network wants, in m/s², without any rounding.
+/// What the network wants, in m/s², or its action, without any rounding.
 fn wanted(actor: &Actor, seen: &[Exact; 8], is_followed: bool) -> Exact {
     let input = |input: &Input| {
         let number = match input.absent.filter(|_| !is_followed) {
@@ -250,6 +250,39 @@ fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
     h.into_iter().enumerate().map(of).collect()
 }
 
+/// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
+fn idm(law: &Idm, [gap, v, ahead]: [&Exact; 3]) -> Exact {
+    let of = |number: f64| Exact::from(number);
+    let closing = v.clone() - ahead.clone();
+    let mean = (of(law.accel_mps2) * of(law.comfortable_brake_mps2)).sqrt();
+    let dynamic = v.clone() * of(law.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
+    let gap_wanted = of(law.standstill_gap_m) + dynamic.max(&Exact::zero());
+    let share = gap_wanted.over(&gap.max(&of(0.01)));
+    let part = v.over(&of(law.desired_speed_mps));
+    let squared = |number: Exact| number.clone() * number;
+    of(law.accel_mps2) * (of(1.0) - squared(squared(part)) - squared(share))
+}
+
+/// What somebody asks for who departs from a law, and how far he has departed, from -1 to 1: towards what his action says, 0 within the
+/// dead zone, by so much a step at most.
+fn departed(
+    departure: &Departure,
+    so_far: &mut Exact,
+    action: &Exact,
+    [low, high]: [f64; 2],
+    step: &Exact,
+    seen: [&Exact; 3],
+) -> Result<Exact, TooClose> {
+    let (zone, one, zero) = (Exact::from(departure.dead_zone), Exact::from(1.0), Exact::zero());
+    let beyond = |size: Exact| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
+    let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
+    let most = step.clone() * departure.rate_per_s.into();
+    *so_far = aim.max(&(so_far.clone() - most.clone())).min(&(so_far.clone() + most));
+    let law = idm(&departure.idm, seen).clamp(low, high);
+    let (share, bound) = if so_far.is_below(&zero)? { (-so_far.clone(), low) } else { (so_far.clone(), high) };
+    Ok((one - share.clone()) * law + share * bound.into())
+}
+
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
 fn followed(
     law: &Law,
@@ -260,16 +293,7 @@ fn followed(
     let of = |number: f64| Exact::from(number);
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
-        Law::Idm(idm) => {
-            let mean = (of(idm.accel_mps2) * of(idm.comfortable_brake_mps2)).sqrt();
-            let dynamic = v.clone() * of(idm.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
-            let gap_wanted = of(idm.standstill_gap_m) + dynamic.max(&Exact::zero());
-            let share = gap_wanted.over(&gap.max(&of(0.01)));
-            let part = v.over(&of(idm.desired_speed_mps));
-            let squared = |number: Exact| number.clone() * number;
-            let free = of(1.0) - squared(squared(part)) - squared(share);
-            (of(idm.accel_mps2) * free, idm.max_accel_mps2)
-        }
+        Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
         Law::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => (-brake.clone(), acc.max_accel_mps2),
         Law::AccAeb(acc) => {
             let gain = of(acc.speed_gain_per_s);
@@ -321,9 +345,9 @@ pub fn drive(
 ) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
     let Scene { actor, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(Exact::from);
-    let (step, mut set_speed) = (Exact::from(scene.step_s), None);
+    let (step, mut set_speed, mut so_far) = (Exact::from(scene.step_s), None, Exact::zero());
     let zero = Exact::zero;
-    let (mut a_l, mut a_e, mut a_r, mut wants, mut fired) = (zero(), zero(), zero(), zero(), false);
+    let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
     for k in 0..=steps {
         let seen = match follower {
@@ -342,9 +366,18 @@ pub fn drive(
         if k % every == 0 {
             let error = error(trace.len());
             let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
-            wants = wanted(actor, &observed, follower.is_some());
-            trace.push(seen);
+            answer = wanted(actor, &observed, follower.is_some());
+            trace.push(seen.clone());
         }
+        let wants = match &actor.departs_from {
+            None => answer.clone(),
+            Some(departure) => {
+                // What is seen at each step is off by an error of its own.
+                let error = error((k + steps) as usize);
+                let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
+                departed(departure, &mut so_far, &answer, actor.action_mps2, &step, [&gap, &own, &other])?
+            }
+        };
         let wants_r = match follower {
             Some(Follower::Latched { ttc_s }) => {
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;

@@ -1,6 +1,6 @@
 //! Networks that drive neither calmly nor sensibly, and the files of such.
 
-use crumple_verify::reach::{Actor, Each, Format, Input, Layer, Own, Source, Step};
+use crumple_verify::reach::{Actor, Departure, Each, Format, Input, Layer, Own, Source, Step};
 use serde_json::{Value, json};
 
 use super::closed_loop::Numbers;
@@ -15,6 +15,11 @@ fn layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut Numbers) -> Lay
 
 /// A network of given widths, as crumple's own are; gains of order one.
 pub fn network(widths: &[usize], gain: f64, seed: u64) -> Actor {
+    departing(widths, gain, seed, None)
+}
+
+/// The same, of which the action departs from a law.
+pub fn departing(widths: &[usize], gain: f64, seed: u64, departs_from: Option<Departure>) -> Actor {
     let mut numbers = Numbers(seed | 1);
     let sizes = [&[8], widths, &[1]].concat();
     Actor::from(Own {
@@ -24,6 +29,7 @@ pub fn network(widths: &[usize], gain: f64, seed: u64) -> Actor {
         limit: 1.5,
         empty_gap_m: 80.0,
         action_mps2: [-7.5, 3.0],
+        departs_from,
         decision_interval_s: 0.1,
     })
 }
@@ -68,6 +74,7 @@ pub fn any_with_file(seed: u64) -> (Actor, Vec<u8>) {
         offset_mps2: -2.25,
         action_mps2: [low, 3.0],
         is_cut: !is_bounded || low > -7.5,
+        departs_from: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: Some(Source { format: Format::Onnx, sha256: "0".repeat(64) }),

@@ -504,6 +504,7 @@ mod tests {
                 horizon_s: 15.0,
                 has_follower: true,
                 leader_brakes_at_most_mps2: None,
+                departs_from: None,
             })
         };
         let nothing = "nothing was verified of any part of the box, and so no gap is bounded";
