@@ -127,7 +127,7 @@ impl Header {
             return Err("has a scaling that makes no sense".to_owned());
         }
         // How far apart, where there is one alone, has no meaning, and would look as if it had.
-        if history.or(*history_every).is_some_and(|decisions| decisions != 1) {
+        if [history, history_every].into_iter().flatten().any(|decisions| *decisions != 1) {
             let is_not = "only a network that sees nothing but the present can be followed";
             return Err(format!("{KEY}: observation: history: {is_not}"));
         }
