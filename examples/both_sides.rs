@@ -4,7 +4,8 @@
 //! cargo run --release --example both_sides -- 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
 //! ```
 //! The first argument is how many draws of each space; the draws are those of a seed that neither trainings nor selections have.
-//! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`. One that begins with `space=`
+//! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`. One that ends in `.csv` is a table of
+//! policies that were measured before, as `reports/front.csv`, which the figure shows besides. One that begins with `space=`
 //! names a space, and leaves out all others that are not named so: `space=steady`.
 //!
 //! Columns count draws: `hard` with braking harder than 4 m/s² where less than 3 m/s² had a cause, `needless` with braking by more than
@@ -30,7 +31,7 @@ const MOST_DRAWS: u64 = 1_000_000;
 /// Braking harder than this has to have a cause behind a leader that never brakes, in m/s².
 const FIRM_BRAKE_MPS2: f64 = 2.0;
 
-const USAGE: &str = "usage: both_sides DRAWS CONTROLLER... [FIGURE.svg] [space=SPACE]...";
+const USAGE: &str = "usage: both_sides DRAWS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]...";
 
 #[derive(Default)]
 struct Sums {
@@ -61,11 +62,35 @@ fn main() -> ExitCode {
     }
 }
 
+/// A mark of the figure, and a line of a table of them.
+#[derive(Clone, serde::Deserialize)]
+struct Mark {
+    name: String,
+    /// Rms of jerk in `traffic`.
+    jerk_mps3: f64,
+    /// Of draws of `high-risk`.
+    contacts_percent: f64,
+    /// Whether it is no rule, but was trained.
+    #[serde(skip, default = "yes")]
+    is_trained: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl Mark {
+    fn at(&self) -> (f64, f64) {
+        (self.jerk_mps3, self.contacts_percent)
+    }
+}
+
 /// What the arguments ask for.
 struct Asked {
     draws: u64,
     controllers: Vec<NamedController>,
     figures: Vec<String>,
+    measured_before: Vec<Mark>,
     spaces: Vec<&'static str>,
 }
 
@@ -77,12 +102,18 @@ impl Asked {
             _ => return Err(format!("`{draws}` is no number of draws from 1 to {MOST_DRAWS}").into()),
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
+        let mut measured_before = Vec::new();
         for argument in arguments {
             if let Some(name) = argument.strip_prefix("space=") {
                 let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
                 spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
             } else if argument.ends_with(".svg") {
                 figures.push(argument);
+            } else if argument.ends_with(".csv") {
+                let unreadable = |error: csv::Error| format!("{argument}: {error}");
+                let mut table = csv::Reader::from_path(&argument).map_err(unreadable)?;
+                let lines = table.deserialize().collect::<Result<Vec<Mark>, _>>().map_err(unreadable)?;
+                measured_before.extend(lines);
             } else {
                 controllers.push(NamedController::find_and_try(&argument, Path::new(""))?);
             }
@@ -98,18 +129,24 @@ impl Asked {
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self { draws, controllers, figures, spaces })
+        Ok(Self { draws, controllers, figures, measured_before, spaces })
     }
 }
 
-fn measured(Asked { draws, controllers, figures, spaces }: &Asked) -> Result<(), Box<dyn Error>> {
+fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Asked) -> Result<(), Box<dyn Error>> {
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
-    let mut front: Vec<(f64, f64)> = vec![(0.0, 0.0); controllers.len()];
+    let mark_of = |NamedController { name, .. }: &NamedController| Mark {
+        name: Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy()).into_owned(),
+        jerk_mps3: 0.0,
+        contacts_percent: 0.0,
+        is_trained: name.ends_with(".safetensors"),
+    };
+    let mut front: Vec<Mark> = controllers.iter().map(mark_of).collect();
     for &space in spaces {
-        for (controller, (jerk_mps3, contacts_percent)) in controllers.iter().zip(&mut front) {
+        for (controller, mark) in controllers.iter().zip(&mut front) {
             let (name, draws) = (&controller.name, *draws);
             let sums = driven(space, controller, draws)?;
             let n = draws as f64;
@@ -130,37 +167,37 @@ fn measured(Asked { draws, controllers, figures, spaces }: &Asked) -> Result<(),
                 mean(&sums.imposed_mps2),
             );
             match space {
-                EMERGENCIES => *contacts_percent = 100.0 * sums.contacts as f64 / n,
-                TRAFFIC => *jerk_mps3 = rms_jerk_mps3,
+                EMERGENCIES => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
+                TRAFFIC => mark.jerk_mps3 = rms_jerk_mps3,
                 _ => {}
             }
         }
     }
-    let names: Vec<_> = controllers.iter().map(|controller| controller.name.clone()).collect();
+    front.extend(measured_before.iter().cloned());
     for file in figures {
-        std::fs::write(file, drawn(&names, &front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
+        std::fs::write(file, drawn(&front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
 
 /// Safety against comfort: the better, the nearer to the lower left corner.
-fn drawn(names: &[String], front: &[(f64, f64)], draws: u64) -> Svg {
+fn drawn(front: &[Mark], draws: u64) -> Svg {
     let frame = Frame { left: LEFT + 24.0, top: HEADING, width: 640.0, height: 360.0 };
-    let most = front.iter().map(|at| at.0).fold(0.0, f64::max);
+    let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
     let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
     let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, 100.0), 6));
     let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / 100.0);
-    for (index, (name, at)) in names.iter().zip(front).enumerate() {
-        let others = front.iter().enumerate().filter(|(other, _)| *other != index);
-        let nearest = others.map(|(_, other)| other).min_by(|a, b| apart(a, at).total_cmp(&apart(b, at)));
-        let stem = Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy());
-        let marker = if name.ends_with(".safetensors") { Marker::Ring } else { Marker::Cross };
-        panel.marks(&[*at], marker, Ink::Series(usize::from(name.ends_with(".safetensors"))));
+    for (index, mark) in front.iter().enumerate() {
+        let at = mark.at();
+        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.at());
+        let nearest = others.min_by(|a, b| apart(a, &at).total_cmp(&apart(b, &at)));
+        let marker = if mark.is_trained { Marker::Ring } else { Marker::Cross };
+        panel.marks(&[at], marker, Ink::Series(usize::from(mark.is_trained)));
         // The name is on the other side of its mark than the nearest mark.
         let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
         let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };
-        panel.note((at.0 + side * most, at.1), anchor, &stem, Ink::Muted);
+        panel.note((at.0 + side * most, at.1), anchor, &mark.name, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));
     let description = format!("{draws} draws of each space. Rings are policies of the preset road and its variants.");
@@ -230,6 +267,7 @@ mod tests {
         assert_eq!(refused(&["10", "idm", "space=nowhere"]), "there is no built-in space `nowhere`");
         assert_eq!(refused(&["10", "idm", "front.svg", "space=steady"]), "a figure needs the space `high-risk`");
         assert!(refused(&["10", "idm", "hal"]).contains("`hal`"), "{}", refused(&["10", "idm", "hal"]));
+        assert!(refused(&["10", "idm", "none.csv"]).starts_with("none.csv: "));
         assert!(refused(&["10", "none.safetensors"]).contains("none.safetensors"));
         let asked = Asked::by(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
         assert_eq!((asked.draws, asked.spaces), (10, vec!["steady"]));
