@@ -60,8 +60,8 @@ impl fmt::Display for Departure {
         let most_mps2 = idm.max_accel_mps2;
         write!(
             out,
-            "{idm}, at every step, at up to {most_mps2} m/s², and departs from that where the network's action is beyond {dead_zone}, at up to \
-             {rate_per_s} times a second"
+            "it {idm}, at every step and at up to {most_mps2} m/s², and departs from that where the network's action is beyond {dead_zone}; \
+             departures come and go at {rate_per_s} 1/s"
         )
     }
 }

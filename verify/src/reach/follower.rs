@@ -186,6 +186,8 @@ pub(super) struct Sight {
     speed: Form,
     /// v - w.
     closing: Form,
+    /// No speed that is seen is smaller, in m/s: nobody reverses, but what is seen may be off.
+    least_mps: f64,
 }
 
 impl Sight {
@@ -196,8 +198,8 @@ impl Sight {
     /// The same of gap, speed and v - w that may be off by so much more.
     pub(super) fn within(mut seen: [Form; 3], errors: [f64; 3]) -> Self {
         seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(ROUNDED + error));
-        let [gap, speed, closing] = seen;
-        Self { gap, speed, closing }
+        let ([gap, speed, closing], [_, of_speed, _]) = (seen, errors);
+        Self { gap, speed, closing, least_mps: -of_speed }
     }
 }
 
@@ -270,7 +272,7 @@ impl Idm {
         (acceleration, self.plainly(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
     }
 
-    fn wanted(&self, Sight { gap, speed, closing }: &Sight, brake: &Form) -> Form {
+    fn wanted(&self, Sight { gap, speed, closing, least_mps }: &Sight, brake: &Form) -> Form {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
         if gap.range().low() <= LEAST_GAP_M {
@@ -283,15 +285,19 @@ impl Idm {
         gap_wanted.shift(point(self.standstill_gap_m));
         let share = gap_wanted.times(&reciprocal(gap));
         let of_desired = speed.scaled(Interval::ONE.over(point(self.desired_speed_mps)));
-        let fourth = rectified_square(&rectified_square(&of_desired));
+        let mut fourth = rectified_square(&rectified_square(&of_desired));
+        if *least_mps < 0.0 {
+            // Of a speed below 0 it is not 0.
+            fourth.shift(Interval::ZERO.hull(point(*least_mps).over(point(self.desired_speed_mps)).sqr().sqr()));
+        }
         let taken = fourth.plus(&rectified_square(&share));
         Form::constant(accel).minus(&taken.scaled(accel))
     }
 
     /// The same of numbers that have nothing to do with each other.
-    fn plainly(&self, Sight { gap, speed, closing }: &Sight) -> Interval {
+    fn plainly(&self, Sight { gap, speed, closing, least_mps }: &Sight) -> Interval {
         let point = Interval::point;
-        let (speed, gap) = (speed.range().max(Interval::ZERO), gap.range().max(point(LEAST_GAP_M)));
+        let (speed, gap) = (speed.range().max(point(*least_mps)), gap.range().max(point(LEAST_GAP_M)));
         let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.over_twice_mean();
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();
@@ -314,7 +320,7 @@ impl AccAeb {
     }
 
     /// What it asks for where the emergency brake does not fire.
-    fn followed(&self, Sight { gap, speed, closing }: &Sight, set_speed: &Form) -> Form {
+    fn followed(&self, Sight { gap, speed, closing, .. }: &Sight, set_speed: &Form) -> Form {
         let point = Interval::point;
         let gain = point(self.speed_gain_per_s);
         let cruise = set_speed.clone().minus(speed).scaled(gain);

@@ -1,12 +1,16 @@
 //! What is claimed of an ego that departs from a law is true of each member.
 
-use crumple_verify::Interval;
-use crumple_verify::reach::{Actor, Departure, Dimension, Follower, Idm, Law, Scene, Step, reach, reach_with_tube};
+use crumple_verify::reach::{
+    Actor, Cell, Departure, Dimension, Follower, Idm, Law, Reach, Scene, Step, reach, reach_with_tube,
+};
+use crumple_verify::{Accepted, Interval, check_with};
 use proptest::prelude::*;
 
 use crate::driven::{IDM, any_law};
 use crate::led::unscripted;
-use crate::reach::{LATCHED, any_ranges, any_unit, attacked, is_bounded, member, paper, scene};
+use crate::reach::{
+    LATCHED, any_ranges, any_unit, attacked, certificate, claim, is_bounded, member, paper, reference, scene, sha256,
+};
 use crate::support::closed_loop::{Numbers, scripted, simulate, simulate_told};
 use crate::support::networks::departing;
 
@@ -93,11 +97,45 @@ fn verified_boxes_survive_search() {
     }
 }
 
+/// The file of the committed policy that departs from `idm`.
+fn road() -> Vec<u8> {
+    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/road.safetensors")).unwrap()
+}
+
+/// A claim about a policy is one about its law, which the statement does not hold: the check reads it, and says it with the scope.
+#[test]
+fn what_is_departed_from_is_said_with_the_scope() {
+    let bytes = road();
+    let departure = Actor::from_bytes(&bytes).unwrap().departs_from.unwrap();
+    let claim = Reach {
+        policy_sha256: sha256(&bytes),
+        partition: vec![Cell::Undecided],
+        verified_share_at_least: 0.0,
+        falsified_share_at_least: 0.0,
+        ..claim()
+    };
+    let certificate = certificate(claim);
+    let accepted = check_with(&certificate, Some(&bytes)).unwrap();
+    assert!(matches!(accepted, Accepted::Reach { departs_from: Some(found), .. } if found == departure));
+    let Departure { dead_zone, rate_per_s, idm } = departure;
+    let (scope, plain) = (certificate.scope_of(&accepted).to_string(), certificate.scope().to_string());
+    for said in [
+        format!(
+            "; it drives idm towards {} m/s with a time headway of {} s",
+            idm.desired_speed_mps, idm.time_headway_s
+        ),
+        format!("where the network's action is beyond {dead_zone}; departures come and go at {rate_per_s} 1/s"),
+    ] {
+        assert!(scope.contains(&said) && !plain.contains(&said), "{said}: {scope}");
+    }
+    // Of another policy with the same claim it does not: the digest decides.
+    assert!(check_with(&certificate, Some(&reference())).is_err());
+}
+
 /// The committed policy that departs from `idm`, around scenario 1: bounds that are not idle, through the leader's onset, the follower's brake and everybody's stops.
 #[test]
 fn a_box_of_a_learned_policy_survives_search() {
-    let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/road.safetensors")).unwrap();
-    let actor = Actor::from_bytes(&bytes).unwrap();
+    let actor = Actor::from_bytes(&road()).unwrap();
     let mut ranges = paper(0.007, 0.002);
     ranges.follower_brake_mps2 = Interval::new(5.998, 6.002).unwrap();
     ranges.onset_steps = Interval::new(124.75, 125.25).unwrap();
@@ -124,5 +162,25 @@ fn who_starts_within_an_interval_is_followed_on() {
     let run = simulate(&scene, start);
     let starts_and_brakes = run.0.windows(2).any(|pair| pair[0][3] == 0.0 && pair[1][3] > 1.0 && pair[1][6] > 0.0);
     assert!(starts_and_brakes, "the case is still one");
+    is_bounded(&scene, &reach_with_tube(&scene), run, &start).unwrap();
+}
+
+/// What the law sees of the own speed may be below 0 where observations are off, and then it counts as it is.
+#[test]
+fn a_speed_that_is_seen_below_0_counts_as_it_is() {
+    let departure = Departure { dead_zone: 0.4, rate_per_s: 1000.0, idm: own() };
+    let actor = always(0.0, departure);
+    let mut ranges = paper(0.0, 0.0);
+    for (dimension, value) in Dimension::ALL.into_iter().zip([4.0, 0.0, 25.0, 0.0, 0.0, 0.0, 0.0, 0.0]) {
+        *ranges.get_mut(dimension) = Interval::point(value);
+    }
+    let observation_error = [0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0];
+    let whole = scene(&actor, ranges);
+    let scene = Scene { follower: None, observation_error, stop_at_doubt: false, steps: 10, ..whole };
+    let start = member(&ranges, [0.0; 8]);
+    let error = |_| std::array::from_fn(|i| if i == 3 { -0.02 } else { 0.0 });
+    let run = simulate_told(&scene, start, scripted(&start), error);
+    // The vehicle ahead is so much faster that the law takes a speed below 0 for a reason to keep farther away.
+    assert!(run.0[1][3] < simulate(&scene, start).0[1][3] - 1e-4);
     is_bounded(&scene, &reach_with_tube(&scene), run, &start).unwrap();
 }

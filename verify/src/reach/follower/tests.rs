@@ -69,7 +69,7 @@ fn wanted_by_acc(law: &AccAeb, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
 
 fn sight(gap: Form, speed: Form, ahead: &Form) -> Sight {
     let closing = speed.clone().minus(ahead);
-    Sight { gap, speed, closing }
+    Sight { gap, speed, closing, least_mps: 0.0 }
 }
 
 fn point([gap, v, w]: [f64; 3]) -> Sight {
@@ -163,7 +163,7 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     let follows = [29.0, 30.0].map(|gap| wanted_by_acc(&ACC, 25.0, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
     // Exactly at the limit it does not fire.
-    let stands = Sight { gap: Form::default(), speed: Form::default(), closing: Form::default() };
+    let stands = Sight { gap: Form::default(), speed: Form::default(), closing: Form::default(), least_mps: 0.0 };
     let expected = wanted_by_acc(&ACC, 25.0, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
