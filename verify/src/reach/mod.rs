@@ -38,7 +38,7 @@ pub mod braking;
 #[cfg(test)]
 mod cases;
 mod container;
-mod course;
+pub mod course;
 pub mod departure;
 pub mod drive;
 pub mod follower;
