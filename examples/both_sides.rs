@@ -186,8 +186,9 @@ fn drawn(front: &[Mark], draws: u64) -> Svg {
     let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
     let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
-    let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, 100.0), 6));
-    let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / 100.0);
+    let top = front.iter().map(|mark| (mark.contacts_percent / 10.0).ceil() * 10.0).fold(10.0, f64::max);
+    let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, top), 6));
+    let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / top);
     for (index, mark) in front.iter().enumerate() {
         let at = mark.at();
         let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.at());
