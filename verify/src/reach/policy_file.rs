@@ -44,8 +44,14 @@ struct Scaling {
     scale: [f64; OBSERVED],
     limit: f64,
     empty_gap_m: f64,
-    history: Option<usize>,
-    history_every: Option<usize>,
+    #[serde(default = "one")]
+    history: usize,
+    #[serde(default = "one")]
+    history_every: usize,
+}
+
+fn one() -> usize {
+    1
 }
 
 #[derive(Deserialize)]
@@ -127,7 +133,7 @@ impl Header {
             return Err("has a scaling that makes no sense".to_owned());
         }
         // How far apart, where there is one alone, has no meaning, and would look as if it had.
-        if [history, history_every].into_iter().flatten().any(|decisions| *decisions != 1) {
+        if [*history, *history_every] != [1, 1] {
             let is_not = "only a network that sees nothing but the present can be followed";
             return Err(format!("{KEY}: observation: history: {is_not}"));
         }
@@ -166,14 +172,31 @@ pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String
 mod tests {
     use super::*;
 
-    fn header() -> Header {
-        let text = serde_json::json!({
+    fn stated() -> serde_json::Value {
+        serde_json::json!({
             "version": 1, "crumple": "0.1.0", "hidden": [64, 64],
             "observation": {"offset": vec![0; OBSERVED], "scale": vec![1; OBSERVED], "limit": 1.5, "empty_gap_m": 80},
             "action": {"low_mps2": -7.5, "high_mps2": 3}, "decision_interval_s": 0.1, "estimator": "truth", "seed": 1,
             "episode": 2, "training": {}
-        });
-        serde_json::from_value(text).unwrap()
+        })
+    }
+
+    fn header() -> Header {
+        serde_json::from_value(stated()).unwrap()
+    }
+
+    /// As the simulator reads it: what is left out is one, and null is no number.
+    #[test]
+    fn a_history_is_a_number_or_left_out() {
+        for field in ["history", "history_every"] {
+            for (value, is_read) in [(serde_json::json!(1), true), (serde_json::Value::Null, false)] {
+                let mut stated = stated();
+                stated["observation"][field] = value;
+                assert_eq!(serde_json::from_value::<Header>(stated).is_ok(), is_read, "{field}");
+            }
+            assert!(checked(|header| header.observation.history = 2).is_err());
+            assert!(checked(|header| header.observation.history_every = 5).is_err());
+        }
     }
 
     fn checked(change: impl FnOnce(&mut Header)) -> Result<(), String> {
