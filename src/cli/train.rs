@@ -28,8 +28,8 @@ Presets:
   road       safe in emergencies and of use in traffic: all built-in spaces, TD3, costs for discomfort and for being in the way
 
 The algorithm is DDPG, and TD3 where a preset says so (Fujimoto, van Hoof and Meger 2018): `[td3]` with `twin_critic = true` for \
-two critics of which the smaller is believed, `actor_every = 2` for an actor that learns every second time, `target_noise = 0.1` \
-and `target_noise_limit = 0.3` for noise on target actions. `road` and the preset of `crumple retrain` are TD3. A preset of one's own \
+two critics of which the smaller is believed, `actor_every = 2` for an actor that learns every second time, `target_noise = 0.2` \
+and `target_noise_limit = 0.5` for noise on target actions. `road` and the preset of `crumple retrain` are TD3. A preset of one's own \
 is a file like the committed ones (schema: crates/learn/src/rl/training.schema.json), with rewards (`[environment]` and \
 `[environment.costs]`), what is seen (`[environment.observation]`) and spaces (`[[spaces]]`). Policies of other algorithms come \
 from outside (docs/controllers.md).
