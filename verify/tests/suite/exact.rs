@@ -44,14 +44,14 @@ fn is_bounded(
 ) -> Result<(), String> {
     if let Some(gaps_m) = gaps_m {
         let (found, [ahead, behind]) = (least.each_ref(), gaps_m);
-        if !found[0].is_found_at_least(ahead) || !found[1].is_found_at_least(behind) {
+        if !found[0].is_at_least(ahead) || !found[1].is_at_least(behind) {
             return Err(format!("{least:?} below {gaps_m:?}"));
         }
     }
     let Some(tube) = tube else { return Ok(()) };
     assert_eq!(tube.len(), trace.len());
     for (decision, (bounds, seen)) in tube.iter().zip(trace).enumerate() {
-        if let Some(i) = (0..8).find(|&i| !seen[i].is_found_in(bounds[i])) {
+        if let Some(i) = (0..8).find(|&i| !seen[i].is_in(bounds[i])) {
             return Err(format!("number {i} at decision {decision}: {:?} not in {:?}", seen[i], bounds[i]));
         }
     }

@@ -112,21 +112,6 @@ impl Exact {
         bound == f64::NEG_INFINITY || Self::from(bound).high <= self.low
     }
 
-    /// Whether its ends have come apart, by more than 10⁻¹⁵: a loop with large gains multiplies, step by step, what is not known.
-    fn is_vague(&self) -> bool {
-        (&self.high - &self.low).bits() > BITS as u64 - 50
-    }
-
-    /// Whether it is in an interval, for all that is known of it: certainly, unless its ends have come apart.
-    pub fn is_found_in(&self, interval: Interval) -> bool {
-        self.is_found_at_least(interval.low()) && (-self.clone()).is_found_at_least(-interval.high())
-    }
-
-    /// Whether it is at least so large, likewise.
-    pub fn is_found_at_least(&self, bound: f64) -> bool {
-        self.is_at_least(bound) || self.is_vague() && self.high >= Self::from(bound).low
-    }
-
     fn is_zero(&self) -> bool {
         *self == Self::zero()
     }
