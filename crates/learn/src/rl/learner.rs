@@ -105,8 +105,7 @@ impl Learner {
         let Space { actor, actions, .. } = &mut self.space;
         let batch = states.len() / self.inputs;
         let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
-        actions.clear();
-        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        take_answers(raw, actions);
         actions
     }
 
@@ -145,8 +144,7 @@ impl Learner {
     fn set_goals(&mut self, batch: &Batch, noise: &mut Stream) {
         let Space { target, actions, td_targets, .. } = &mut self.space;
         let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
-        actions.clear();
-        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        take_answers(raw, actions);
         if self.td3.target_noise > 0.0 {
             let limit = self.td3.target_noise_limit;
             for action in actions.iter_mut() {
@@ -203,8 +201,7 @@ impl Learner {
             input.extend_from_slice(&batch.states);
             input.extend_from_slice(next_states);
         });
-        actions.clear();
-        actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
+        take_answers(raw, actions);
         let (actions, next_actions) = actions.split_at(batch.len());
         let critic = &self.critics[0].network;
         tape.forward(critic, batch.len(), |input| beside([&batch.states, &batch.privileged], actions, input));
@@ -242,6 +239,12 @@ impl Learner {
         self.actor_gradient(batch);
         (critics, self.space.actor_gradients.clone())
     }
+}
+
+/// What an actor answers, between -1 and 1, of its outputs.
+fn take_answers(raw: &[f32], actions: &mut Vec<f32>) {
+    actions.clear();
+    actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
 }
 
 /// Rows of states, of what else critics know, and the action as last number.

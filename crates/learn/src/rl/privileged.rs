@@ -5,14 +5,13 @@
 //! they say (asymmetric actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
 
 use super::environment::{EGO, Episode};
+use super::reward::FULL_BRAKE_MPS2;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
 
 /// Numbers that a critic knows besides.
 pub(super) const PRIVILEGED: usize = 10;
 
-/// Decelerations are relative to this, in m/s².
-const FULL_BRAKE_MPS2: f64 = 7.5;
 /// How far ahead the leader's script is known, in seconds.
 const AHEAD_S: [f64; 2] = [1.0, 3.0];
 /// Costs count at least this many times, for a logarithm.

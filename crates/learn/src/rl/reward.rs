@@ -13,7 +13,7 @@ use crumple_world::measure::{State, caused_brake_mps2};
 use crumple_world::sim::{Moment, Motion, Stepper};
 
 /// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
-const FULL_BRAKE_MPS2: f64 = 7.5;
+pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
 /// Jerk that costs as much as its weight, in m/s³: full braking within a tenth of a second.
 const FULL_JERK_MPS3: f64 = 75.0;
 /// Difference of speeds that costs as much as its weight, in m/s.
