@@ -112,6 +112,11 @@ impl Exact {
         bound == f64::NEG_INFINITY || Self::from(bound).high <= self.low
     }
 
+    /// Whether its ends have come apart, by more than 10⁻²⁰: a loop with large gains multiplies at each step what is not known.
+    fn is_vague(&self) -> bool {
+        (&self.high - &self.low).bits() > BITS as u64 - 66
+    }
+
     fn is_zero(&self) -> bool {
         *self == Self::zero()
     }
@@ -335,7 +340,7 @@ fn moved(speed: &Exact, wanted: &Exact, step: &Exact) -> Result<Moved, TooClose>
 }
 
 /// Everything that is true at each decision, the last instant included, and the smallest gaps at any half step; none where the run goes
-/// through something that is closer than numbers are known. What is observed differs by `error(decision)` from that, and the leader
+/// through something that is closer than numbers are known, or numbers are no longer known to 10⁻²⁰. What is observed differs by `error(decision)` from that, and the leader
 /// brakes at `brake(k)` of the script that its start says, or of nothing, over each step.
 pub fn drive(
     scene: &Scene<'_>,
@@ -363,6 +368,9 @@ pub fn drive(
                 zero(),
             ],
         };
+        if seen.iter().any(Exact::is_vague) {
+            return Err(TooClose);
+        }
         if k % every == 0 {
             let error = error(trace.len());
             let observed = std::array::from_fn(|i| seen[i].clone() + error[i].into());
