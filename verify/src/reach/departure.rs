@@ -115,8 +115,9 @@ impl Departure {
                 wanted = wanted.plus(&share.times(&bound.clone().minus(&law)));
             }
         }
-        wanted.widen(ROUNDED * low.abs().max(high.abs()));
-        narrower(wanted, departs.plainly(law.range()))
+        let rounded = ROUNDED * low.abs().max(high.abs());
+        wanted.widen(rounded);
+        narrower(wanted, departs.plainly(law.range()) + Interval::around_zero(rounded))
     }
 }
 

@@ -91,3 +91,18 @@ fn what_is_told_apart_is_what_there_is() {
     braking.mean_held_m = Interval::ZERO;
     assert_eq!(ranges(&braking, 4).len(), 2);
 }
+
+/// Nothing is told apart a step before it is there: a brake that begins, one that is held, a vehicle that stands.
+#[test]
+fn what_is_told_apart_begins_when_it_does() {
+    let step = Interval::point(STEP_S);
+    // Begins to brake at instant 2.5, and stands after 10 steps of braking: at 12.5.
+    let braking = braking([5.0; 2], [5.0; 2], [2.5; 2]);
+    let seen = |k| {
+        let all = braking.accelerations(k, step);
+        all.iter().map(|form| form.centre().round()).collect::<Vec<_>>()
+    };
+    for (k, expected) in [(2, &[0.0][..]), (3, &[-3.0]), (4, &[-5.0]), (12, &[-5.0]), (13, &[-5.0]), (14, &[0.0])] {
+        assert_eq!(seen(k), expected, "at {k}");
+    }
+}

@@ -101,3 +101,16 @@ fn who_starts_again_within_an_interval_has_started_again() {
         assert_eq!(course.stands(Kind::Standing), rates[0] < 0.0 && rates[1] < 0.0);
     }
 }
+
+/// Of who may stop in a step no more is left open than how far it reverses: half of b h for h.
+#[test]
+fn a_step_in_which_some_stop_is_bounded_by_what_reverses() {
+    let (step, brake) = (Interval::point(STEP_S), 3.0);
+    let course = Course::stepwise(&at_rest(any(0, 0.1, 0.5)), 1, step, |_, _| exactly(-brake));
+    let members = Members::starting(any(0, 0.1, 0.5), SHARED_SYMBOLS);
+    let Seen { distance, speed, .. } = course.moved(&members, step, 1);
+    let free = [0.1, 0.5].map(|v| v * STEP_S - 0.5 * brake * STEP_S * STEP_S);
+    assert_bounds(distance.range(), [free[0], free[1] + 0.5 * 0.2 * STEP_S], 1e-12);
+    // The line of the rectifier from -0.2 to 0.2 m/s: half of both, and a tenth.
+    assert_bounds(speed.range(), [-0.1, 0.2], 1e-12);
+}

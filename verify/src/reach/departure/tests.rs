@@ -114,3 +114,19 @@ fn a_step_is_enough_where_it_is_as_long_as_from_one_end_to_the_other() {
     assert!(at(200.0).takes_a_step(0.01) && at(1000.0).takes_a_step(0.01) && at(4.0).takes_a_step(0.5));
     assert!(!at(199.0).takes_a_step(0.01) && !at(4.0).takes_a_step(0.49));
 }
+
+/// What double precision may be off by is in both ways of saying it, and little else where nothing is left open.
+#[test]
+fn rounding_is_allowed_for() {
+    let largest_mps2 = 7.5;
+    // A law at its bound, with an action that changes nothing of it, or everything.
+    for (gap, action) in [(1e9, 1.0), (0.001, -1.0)] {
+        let form = found(&departure(0.4), &exactly(action), [exactly(gap), exactly(0.0), exactly(0.0)]);
+        assert!((ROUNDED * largest_mps2..1e-12).contains(&form.radius()), "{form:?}");
+    }
+}
+
+#[test]
+fn a_difference_of_speeds_is_off_by_both() {
+    assert_eq!(errors_of_sight(&[0.5, 9.0, 0.25, 2.0, 9.0, 9.0, 9.0, 9.0]), [0.5, 2.0, 2.25]);
+}

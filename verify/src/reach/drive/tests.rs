@@ -1,5 +1,5 @@
 use super::super::cases::{affine, any, assert_bounds, constant, exactly, scene, start};
-use super::super::follower::AccAeb;
+use super::super::follower::{AccAeb, Idm};
 use super::*;
 
 const NOWHERE: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
@@ -104,6 +104,44 @@ fn a_decision_costs_what_is_stated() {
         assert!(drive.decide(0, &set).is_some());
         assert!(work.may_do(0) && !work.may_do(1));
     }
+}
+
+/// Where a law is followed its forms are made at each step, with all symbols there are.
+#[test]
+fn a_departure_costs_a_law_at_each_step() {
+    let mut actor = constant(0.0);
+    let idm = Idm {
+        desired_speed_mps: 30.0,
+        time_headway_s: 1.3,
+        standstill_gap_m: 2.0,
+        accel_mps2: 0.73,
+        comfortable_brake_mps2: 1.67,
+        max_accel_mps2: 3.0,
+    };
+    actor.departs_from = Some(Departure { dead_zone: 0.4, rate_per_s: 1000.0, idm });
+    let scene = Scene { steps: 36, decision_steps: 3, ..scene(&actor, start(NOWHERE)) };
+    let work = Work::within(WorkLimit::operations(BESIDES + 3 * A_STEP + 3 * A_SYMBOL_BY_LAW * SHARED_SYMBOLS as u64));
+    let mut drive = drive(&scene, &work);
+    let set = drive.look(0, Members::starting(exactly(10.0), SHARED_SYMBOLS), None);
+    assert!(drive.decide(0, &set).is_some());
+    assert!(work.may_do(0) && !work.may_do(1));
+}
+
+/// A set is looked at once for each pair of accelerations that are told apart, and once where there is nothing to tell apart.
+#[test]
+fn accelerations_are_looked_at_one_by_one() {
+    let (actor, work) = (constant(0.0), no_limit());
+    let scene = scene(&actor, start(NOWHERE));
+    let mut set = drive(&scene, &work).look(0, Members::starting(exactly(10.0), SHARED_SYMBOLS), None);
+    let seen = |set: &Set| -> Vec<_> {
+        set.cases().iter().map(|case| [AHEAD, BEHIND].map(|number| case.seen[number].centre())).collect()
+    };
+    set.apart = [Vec::new(), Vec::new()];
+    assert_eq!(seen(&set), [[0.0, 0.0]]);
+    set.apart = [[-1.0, -2.0].map(exactly).to_vec(), [0.0, -4.0, -5.0].map(exactly).to_vec()];
+    let mut pairs = seen(&set);
+    pairs.sort_by(|a, b| b.partial_cmp(a).unwrap());
+    assert_eq!(pairs, [[-1.0, 0.0], [-1.0, -4.0], [-1.0, -5.0], [-2.0, 0.0], [-2.0, -4.0], [-2.0, -5.0]]);
 }
 
 /// Bounds that say next to nothing are given up.

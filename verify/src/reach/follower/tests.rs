@@ -289,3 +289,20 @@ fn a_law_is_said_with_all_of_its_numbers() {
                   time to collision is below 1.4 s";
     assert_eq!(Law::AccAeb(acc).to_string(), of_acc);
 }
+
+/// What is seen is off by as much as is said; and of a speed that may be seen below 0 the law says what its formula does.
+#[test]
+fn a_sight_is_off_by_what_is_said() {
+    let sight = Sight::within([20.0, 1.0, -0.5].map(exactly), [0.5, 6.0, 2.0]);
+    for (form, expected) in [(&sight.gap, [19.5, 20.5]), (&sight.speed, [-5.0, 7.0]), (&sight.closing, [-2.5, 1.5])] {
+        assert_bounds(form.range(), expected, 1e-6);
+    }
+    // Before an open road, where the fourth power is all there is.
+    let seen = Sight::within([exactly(1e9), exactly(-6.0), exactly(-6.0)], [0.0, 6.0, 0.0]);
+    let wanted = IDM.wanted(&seen, &exactly(8.0)).range();
+    let slowest = IDM.accel_mps2 * (1.0 - (6.0 / IDM.desired_speed_mps).powi(4));
+    assert!(wanted.low() <= slowest && wanted.high() >= IDM.accel_mps2 - 1e-9, "{wanted:?} {slowest}");
+    // Of speeds that are above 0 nothing is left open.
+    let seen = Sight::within([exactly(1e9), exactly(6.0), exactly(6.0)], [0.0; 3]);
+    assert_bounds(IDM.wanted(&seen, &exactly(8.0)).range(), [slowest; 2], 1e-6);
+}

@@ -96,3 +96,16 @@ fn many_decisions_share_symbols() {
     }
     assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbols(), 0);
 }
+
+/// A script's accelerations are told apart as the script does; within a limit there is nothing to tell apart.
+#[test]
+fn accelerations_of_a_script_are_those_of_its_brake() {
+    let step = Interval::point(STEP_S);
+    let ranges = [any(2, 20.0, 21.0), any(5, 5.0, 6.0), any(7, 2.0, 5.5)];
+    let [speed, rate, onset] = ranges;
+    let braking = Braking::new(speed, rate, onset, from(2.0, 5.5), step);
+    let of_braking = braking.accelerations(4, step);
+    assert!(of_braking.len() > 1);
+    assert_eq!(Leader::Scripted(Box::new(braking)).accelerations(4, step), of_braking);
+    assert!(leader([10.0, 11.0], 6.0, 20, 2).accelerations(4, step).is_empty());
+}

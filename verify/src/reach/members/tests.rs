@@ -260,3 +260,14 @@ fn a_direction_is_the_share_of_the_speed() {
         assert_eq!(direction(&vector), expected, "{vector:?}");
     }
 }
+
+/// Only who stood has started again, and only if it may move.
+#[test]
+fn who_moves_later_within_an_interval_is_of_the_same_kind() {
+    let seen = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
+    let kind = |before: Form, after: Form| Members::starting(before, SHARED_SYMBOLS).driven(seen(after)).kind;
+    assert_eq!(kind(exactly(5.0), exactly(4.0)), Kind::Moving);
+    assert_eq!(kind(exactly(5.0), exactly(0.0)), Kind::Moving);
+    assert_eq!(kind(exactly(0.0), exactly(0.0)), Kind::Standing);
+    assert_eq!(kind(exactly(0.0), exactly(0.1)), Kind::Restarted);
+}
