@@ -1,4 +1,4 @@
-//! The closed loop a second time: numbers between two multiples of 2⁻¹⁹², every operation rounded outward, nothing else.
+//! The closed loop a second time: numbers between two multiples of 2⁻³²⁰, every operation rounded outward, nothing else.
 //!
 //! No affine forms, no straight lines, no allowances: a run of a single start and one network without rounding, in which the ends of
 //! each number stay some 10⁻⁴⁰ apart. What the checker says of a box must hold of it to the last bit.
@@ -12,9 +12,9 @@ use num_bigint::BigInt;
 use super::closed_loop::Start;
 
 /// Ends are multiples of 2 to the minus this.
-const BITS: usize = 192;
+const BITS: usize = 320;
 
-/// The numbers from one multiple of 2⁻¹⁹² to another.
+/// The numbers from one multiple of 2⁻³²⁰ to another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exact {
     low: BigInt,
@@ -123,18 +123,18 @@ impl Exact {
 
     /// e to it.
     fn exp(&self) -> Self {
-        // Of x/2ᵐ, below 1/2, by Taylor's series, in units of 2⁻¹⁹²: x/2ᵐ is off by less than 1, each term by less than 4, and the rest is
+        // Of x/2ᵐ, below 1/2, by Taylor's series, in units of 2⁻³²⁰: x/2ᵐ is off by less than 1, each term by less than 4, and the rest is
         // less than 1.
         let at = |end: &BigInt| {
             let halvings = (end.bits() as usize).saturating_sub(BITS - 1);
             let x = end >> halvings;
             let mut term = BigInt::from(1) << BITS;
             let mut sum = term.clone();
-            for n in 1..40_u32 {
+            for n in 1..60_u32 {
                 term = ((term * &x) >> BITS) / n;
                 sum += &term;
             }
-            let off = BigInt::from(200);
+            let off = BigInt::from(300);
             let power = Self { low: &sum - &off, high: sum + off };
             (0..halvings).fold(power, |power, _| power.clone() * power)
         };
