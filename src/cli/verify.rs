@@ -40,8 +40,9 @@ enum Claim {
 A road that scales both brake limits by a friction scales the demanded gaps by its inverse, so the certificates for a dry road \
 speak for every other.
 
-What is proved are the kernel and, in verify/obligations, the shield's test of an action, of the functions that drive and in real \
-numbers. Rounding is paid for by a margin. Delay, noise and that an estimator keeps its error bounds are tested, not proved.")]
+What is proved are the kernel and, in verify/obligations, the shield's test of an action and what it predicts for delay, noise and \
+errors of what is seen, of the functions that drive and in real numbers. Rounding is paid for by a margin. That noise and an estimator \
+keep their bounds, six standard deviations of the noise, is not proved.")]
 struct Shield {
     /// Where certificates go
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]

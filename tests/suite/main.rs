@@ -16,6 +16,7 @@ mod estimation;
 mod explore;
 #[cfg(target_os = "linux")]
 mod faults;
+mod findings;
 #[cfg(unix)]
 mod fmus;
 mod forgery;

@@ -26,15 +26,15 @@ fn quotient(limit_mps2: f64) -> [String; 2] {
 }
 
 /// What the code computes, by the names that the statements have for it.
-fn of_code() -> [(&'static str, String); 7] {
+fn of_code() -> [(&'static str, String); 13] {
     let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::named);
     let demanded = Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
     let [covered, speed] = moved(v, a, h);
-    let frame = |share: &str| Frame {
+    let frame = |share: &str, noise_mps2: Term| Frame {
         step_s: h,
         brake_mps2: b,
         accel_mps2: Term::named("most"),
-        noise_mps2: zero,
+        noise_mps2,
         ahead_brake_mps2: c,
         delay_steps: 0,
         share: Term::named(share),
@@ -43,21 +43,30 @@ fn of_code() -> [(&'static str, String); 7] {
         margin_m: Term::named("m"),
     };
     let state = ShieldState { gap_m: Term::named("g"), speed_mps: v, ahead_mps: w, response_mps2: Term::named("r") };
-    let sluggish = frame("share");
+    let [seen_gap_m, seen_mps, seen_ahead_mps] = ["seen-g", "seen-v", "seen-w"].map(Term::named);
+    let seen = ShieldState { gap_m: seen_gap_m, speed_mps: seen_mps, ahead_mps: seen_ahead_mps, ..state };
+    let sluggish = frame("share", zero);
+    let predicted = frame("share", Term::named("n")).after(seen, a);
     let own = Term::named("own");
     [
         ("{demanded}", demanded.text()),
         ("{moved-covered}", covered.text()),
         ("{moved-speed}", speed.text()),
         ("{largest-closing}", largest_closing_m(v, own, w, c, h).text()),
-        ("{admits}", frame("1.0").admits(state, a).text()),
+        ("{admits}", frame("1.0", zero).admits(state, a).text()),
         ("{to-lose}", sluggish.speed_to_lose_mps(state).text()),
         ("{to-lose-after-braking}", sluggish.speed_to_lose_mps(sluggish.after(state, -b)).text()),
+        ("{predicted-gap}", predicted.gap_m.text()),
+        ("{predicted-speed}", predicted.speed_mps.text()),
+        ("{predicted-ahead}", predicted.ahead_mps.text()),
+        ("{predicted-response}", predicted.response_mps2.text()),
+        ("{spare}", sluggish.spare_m(state).text()),
+        ("{seen-spare}", sluggish.spare_m(seen).text()),
     ]
 }
 
 /// What there is to prove of a pair, the last of them only of one that brakes harder than what is ahead.
-const STATEMENTS: [&str; 9] = [
+const STATEMENTS: [&str; 11] = [
     "invariance",
     "worst-leader",
     "maximality",
@@ -66,6 +75,8 @@ const STATEMENTS: [&str; 9] = [
     "admission-inside",
     "admission-end",
     "lag",
+    "prediction",
+    "estimation",
     "control",
 ];
 

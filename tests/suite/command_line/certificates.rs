@@ -1,7 +1,7 @@
 //! `crumple check` and what a forger meets there.
 
-use crumple_verify::reach::Law;
-use crumple_verify::{Certificate, Registration, Statement};
+use crumple_verify::reach::{Cell, Law};
+use crumple_verify::{Certificate, Interval, Registration, Statement};
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::scenario::{Driver, built_in, file};
@@ -63,6 +63,100 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     let report = &objects(&said)[0];
     assert_eq!((code(&said), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
     assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
+}
+
+/// The forgery as it was made: whole as a file, of as many runs as the bound takes, with hashes of runs that nobody made.
+#[test]
+fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundredth_of_its_runs() {
+    let folder = folder();
+    count(folder.path(), "idm", &[]);
+    let mut forged = read(folder.path(), "idm/certificate.json");
+    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    let identity = ControllerSpec::named("baseline").unwrap().identity();
+    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
+    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
+    (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
+    rate.registration_sha256 = rate.registration.digest();
+    rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
+    write(folder.path(), "forged.json", &forged);
+    let said = crumple(folder.path(), &["check", "forged.json"]);
+    assert!(code(&said) == 0 && stdout(&said).contains("the counts are the maker's word"), "{}", stdout(&said));
+    let said = crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
+    assert!(code(&said) == 1 && stdout(&said).contains("counted again, and refuted: "), "{}", stdout(&said));
+    // As version 0.1.0 wrote it: nothing in it can be counted again, so that its counts stay the maker's word.
+    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
+    rate.registration_sha256 = rate.registration.digest();
+    forged.version = 1;
+    (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
+    write(folder.path(), "old.json", &forged);
+    let said = crumple(folder.path(), &["check", "old.json"]);
+    for words in ["the counts are the maker's word", "version 1, an old one"] {
+        assert!(code(&said) == 0 && stdout(&said).contains(words), "{words}: {}", stdout(&said));
+    }
+    let said = crumple(folder.path(), &["check", "old.json", "--rerun"]);
+    assert!(code(&said) == 2 && !stdout(&said).contains("confirmed"), "{} {}", stdout(&said), stderr(&said));
+}
+
+/// The box of `corpora/boxes/paper-1.toml`, with nothing said of anybody behind.
+const AHEAD_ONLY: &str = "version = 1
+scenario = \"paper-1\"
+observation_error = [1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9]
+[ranges]
+gap_ahead_m = { low = 15.3, high = 16.7 }
+leader_brake_mps2 = { low = 2.8, high = 3.2 }
+onset_s = { low = 1.0, high = 1.5 }
+";
+
+/// What is true of 4 s, or of a tenth of one with nobody behind, reads like it.
+#[test]
+fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
+    let folder = folder();
+    let short = |duration_s: f64| {
+        let paper = built_in("paper-1").unwrap().edited(|spec| {
+            spec.duration_s = duration_s;
+            spec.vehicles.truncate(2);
+        });
+        paper.unwrap()
+    };
+    std::fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
+    assert_eq!(code(&crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
+    let said = crumple(folder.path(), &["check", "short.json"]);
+    assert_eq!(code(&said), 0, "{}", stdout(&said));
+    for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: nobody"] {
+        assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
+    }
+
+    let mut reach = read(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
+    let Statement::Reach(claim) = &mut reach.statement else { panic!("reach") };
+    (claim.steps, claim.follower_ttc_s, claim.min_gap_m_at_least) = (10, None, 0.0);
+    (claim.ranges.gap_behind_m, claim.ranges.follower_speed_mps) = (Interval::ZERO, Interval::ZERO);
+    claim.ranges.follower_brake_mps2 = Interval::ZERO;
+    (claim.partition, claim.verified_share_at_least) = (vec![Cell::Verified], 1.0);
+    reach.assumptions = reach.statement.assumptions();
+    // Bound to a scenario in which it is so, and bound to none.
+    let text = file::to_toml(&short(0.1)).unwrap();
+    reach.provenance.box_text = Some(AHEAD_ONLY.to_owned());
+    (reach.provenance.scenario_sha256, reach.provenance.scenario_text) = (sha256(&text), Some(text));
+    write(folder.path(), "bound.json", &reach);
+    reach.version = 1;
+    (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
+    reach.provenance.scenario_sha256 = String::new();
+    write(folder.path(), "old.json", &reach);
+    for (name, about) in [("bound.json", "which is NOT the built-in one"), ("old.json", "binds a statement to nothing")]
+    {
+        let said = crumple(folder.path(), &["check", name]);
+        assert_eq!(code(&said), 0, "{}", stdout(&said));
+        for words in [
+            "in 100.00 % of the box's volume",
+            " m for 0.1 s, with nobody behind",
+            "for 0.1 s from the start and no longer",
+            "behind: nobody",
+            about,
+        ] {
+            assert!(stdout(&said).contains(words), "{name}: {words}: {}", stdout(&said));
+        }
+    }
 }
 
 #[test]

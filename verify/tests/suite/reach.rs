@@ -304,6 +304,52 @@ fn a_claim_is_derived_again() {
     assert_eq!(Certificate::from_json(&text).unwrap(), certificate(claim()));
 }
 
+/// Five cuts of five ranges of three numbers each: a 32nd of the box, 3.12 %, by the count of cuts, and a 243rd, 0.41 %, of its volume.
+#[test]
+fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd() {
+    let bytes = reference();
+    let mut ranges = paper(0.0, 0.0);
+    let cut = [
+        Dimension::GapAheadM,
+        Dimension::GapBehindM,
+        Dimension::LeaderSpeedMps,
+        Dimension::EgoSpeedMps,
+        Dimension::FollowerSpeedMps,
+    ];
+    for dimension in cut {
+        let low = ranges.get(dimension).low();
+        *ranges.get_mut(dimension) = between(low, low.next_up().next_up().next_up());
+    }
+    // Where the smaller part of each is: the middle is rounded to the one side or the other.
+    let partition = |is_low_smaller: [bool; 5]| {
+        let after = is_low_smaller.iter().rev().filter(|is_low| **is_low).map(|_| Cell::Undecided);
+        let (mut cells, after): (Vec<Cell>, Vec<Cell>) = (Vec::new(), after.collect());
+        for (dimension, is_low) in cut.into_iter().zip(is_low_smaller) {
+            cells.push(Cell::Cut(dimension));
+            cells.extend((!is_low).then_some(Cell::Undecided));
+        }
+        cells.push(Cell::Verified);
+        cells.extend(after);
+        cells
+    };
+    let claims = (0..32_u32).map(|places| Reach {
+        ranges,
+        partition: partition(std::array::from_fn(|i| places >> i & 1 == 1)),
+        verified_share_at_least: 1.0 / 32.0,
+        falsified_share_at_least: 0.0,
+        min_gap_m_at_least: 0.0,
+        ..claim()
+    });
+    let share = |claim: &Reach| claim.shares().unwrap()[0];
+    let stated = claims.min_by(|one, other| share(one).total_cmp(&share(other))).unwrap();
+    assert!(share(&stated) <= 1.0 / 243.0 && share(&stated) > 0.0041, "{}", share(&stated));
+    let refused = check_with(&certificate(stated.clone()), Some(&bytes)).unwrap_err().to_string();
+    assert!(refused.contains("verified_share_at_least"), "{refused}");
+    let measured = Reach { verified_share_at_least: share(&stated), ..stated };
+    let shown = check_with(&certificate(measured), Some(&bytes)).unwrap().to_string();
+    assert!(shown.starts_with("reach: in 0.41 % of the box's volume"), "{shown}");
+}
+
 #[test]
 fn one_changed_weight_is_another_policy() {
     let mut bytes = reference();

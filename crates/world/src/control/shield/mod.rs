@@ -29,8 +29,10 @@
 //!
 //! Proved for all limits, in Coq, of the formulas: the kernel and lag (`docs/kernel-theorems.md`). Proved for the shipped limits,
 //! of these functions as they stand: the kernel, motion, the test of an action at every instant of the
-//! step, lag. Proved in Coq, of these functions as double precision computes them: what rounding takes of the gap in steps of
-//! full braking, and of what is computed to be spare. Derived on paper from there: the margin. Tested only: delay, noise, and the loop in this file. Taken on trust: that an
+//! step, lag, and that what is predicted of a state that is seen wrongly within its bounds, with noise, is the worst that comes. Proved in
+//! Coq, of these functions as double precision computes them: what rounding takes of the gap in steps of full braking, and of what is
+//! computed to be spare. Derived on paper from there: the margin. Tested only: the loop in this file, which takes the bounds off what is
+//! seen and predicts as many steps as there is delay. Taken on trust: that an
 //! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
 
 mod admission;

@@ -1,0 +1,35 @@
+
+; What the shield takes for the state after a step, from a gap that is seen too small at worst, an own speed too high and a speed ahead too
+; low, is the worst that comes: whatever noise up to n adds, and whatever acceleration af the vehicle ahead holds within its limit. That is
+; a step of delay; and, since h is any length, an instant inside a step. Refuted: something worse comes.
+(set-info :status unsat)
+(declare-const g Real)
+(declare-const v Real)
+(declare-const w Real)
+(declare-const seen-g Real)
+(declare-const seen-v Real)
+(declare-const seen-w Real)
+(declare-const r Real)
+(declare-const a Real)
+(declare-const h Real)
+(declare-const share Real)
+(declare-const n Real)
+(declare-const noise Real)
+(declare-const af Real)
+(declare-const v2 Real)
+(declare-const x2 Real)
+(declare-const w2 Real)
+(declare-const y2 Real)
+(assert (and (<= seen-g g) (>= seen-v v) (>= v 0.0) (>= w seen-w) (>= seen-w 0.0)))
+(assert (and (> h 0.0) (> share 0.0) (<= share 1.0) (>= n noise) (>= noise (- n)) (>= af (- c))))
+(define-fun response () Real (+ r (* share (- a r))))
+(define-fun own () Real (ite (and (<= v 0.0) (<= response 0.0)) 0.0 (+ response noise)))
+(assert (moves v own h v2 x2))
+(assert (moves w af h w2 y2))
+(assert (or
+  (not (= response {predicted-response}))
+  (< {predicted-speed} v2)
+  (> {predicted-ahead} w2)
+  (> {predicted-gap}
+     (- (+ g y2) x2))))
+(check-sat)
