@@ -120,6 +120,10 @@ impl ScenarioSource for WeightedSpaces {
         self.turn(seed, index).map_or(1.0, |part| part.costs_times)
     }
 
+    fn most_costs_times(&self) -> f64 {
+        self.parts.iter().fold(1.0, |most, part| most.max(part.costs_times))
+    }
+
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let named = self.parts.iter().map(|part| {
             let name = part.space.identity()?.unwrap_or_default();

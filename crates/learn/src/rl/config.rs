@@ -11,6 +11,7 @@ use super::observation::ObservationConfig;
 use super::privileged::PRIVILEGED;
 use super::replay::Remembered;
 use super::reward::CostConfig;
+use super::single::single;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Departure;
@@ -33,7 +34,8 @@ pub const TRAINING_VERSION: u32 = 1;
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
-    /// Name of the preset.
+    /// Name of the preset, which policies and tables state.
+    #[schemars(length(min = 1))]
     pub name: String,
     /// Episodes at most.
     pub episodes: u64,
@@ -105,6 +107,7 @@ pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
     /// Output weights start uniform within plus and minus this; 0 for the fan-in bound that all other layers have.
+    #[serde(deserialize_with = "single")]
     pub final_layer_bound: f32,
 }
 
@@ -114,12 +117,15 @@ pub struct NetworkConfig {
 #[non_exhaustive]
 pub struct LearningConfig {
     /// Adam's step size of the actor.
+    #[serde(deserialize_with = "single")]
     pub actor_rate: f32,
     /// Adam's step size of the critic.
+    #[serde(deserialize_with = "single")]
     pub critic_rate: f32,
     /// Discount a decision.
     pub discount: f64,
     /// Share of the new weights that the targets take on in an update.
+    #[serde(deserialize_with = "single")]
     pub soft_update: f32,
     /// Transitions in an update.
     pub batch: usize,
@@ -131,10 +137,11 @@ pub struct LearningConfig {
     pub privileged_critic: bool,
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
+    #[serde(deserialize_with = "single")]
     pub saturation_penalty: f32,
     /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
     /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
-    #[serde(default, skip_serializing_if = "is_nothing")]
+    #[serde(default, skip_serializing_if = "is_nothing", deserialize_with = "single")]
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -215,8 +222,10 @@ pub struct Td3Config {
     /// Critic updates for each update of the actor and the targets.
     pub actor_every: u32,
     /// Standard deviation of the noise on target actions; 0 for none.
+    #[serde(deserialize_with = "single")]
     pub target_noise: f32,
     /// Cut of that noise.
+    #[serde(deserialize_with = "single")]
     pub target_noise_limit: f32,
 }
 
@@ -322,6 +331,18 @@ pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(
     }
 }
 
+/// The least weight of a penalty that is not 0. What is less is lost in the rounding of what it is added to, and somebody may have meant
+/// it to do something.
+const LEAST_PENALTY: f32 = 1e-6;
+
+fn penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
+    if 0.0 < weight && weight < LEAST_PENALTY {
+        let problem = format!("must be 0, for none, or between {LEAST_PENALTY} and 1000: less would do nothing");
+        return Err(ConfigError::Field { field: field.to_owned(), problem });
+    }
+    within(field, f64::from(weight), [0.0, 1e3])
+}
+
 impl TrainingConfig {
     /// A committed preset.
     ///
@@ -372,6 +393,9 @@ impl TrainingConfig {
             let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
             return Err(ConfigError::Field { field: "version".to_owned(), problem });
         }
+        if self.name.trim().is_empty() {
+            return Err(ConfigError::Field { field: "name".to_owned(), problem: "must say something".to_owned() });
+        }
         within("episodes", self.episodes as f64, [1.0, 1e7])?;
         within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
         within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
@@ -397,15 +421,22 @@ impl TrainingConfig {
         within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
         if let Some(fall) = &self.learning.rates_fall {
             within("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
-            within("learning.rates_fall.to_share", fall.to_share, [0.0, 1.0])?;
         }
         within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
         within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
         within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
         within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
-        within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
-        within("learning.smoothness_penalty", f64::from(self.learning.smoothness_penalty), [0.0, 1e3])?;
+        penalty("learning.saturation_penalty", self.learning.saturation_penalty)?;
+        penalty("learning.smoothness_penalty", self.learning.smoothness_penalty)?;
         within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
+        let random = self.exploration.random_episodes;
+        if let Some(fall) = self.learning.rates_fall.as_ref().filter(|fall| fall.until_episode <= random) {
+            let problem = format!(
+                "must be more than exploration.random_episodes, after which learning begins: more than {random}, found {}",
+                fall.until_episode
+            );
+            return Err(ConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
+        }
         within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
         within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
         within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;

@@ -26,6 +26,7 @@ mod replay;
 mod reward;
 mod seeds;
 mod shard;
+mod single;
 mod source;
 mod trainer;
 mod useful;
