@@ -83,9 +83,13 @@ pub(super) struct Train {
 /// `traffic`, or `wet.toml=0.2`.
 fn space_share(words: &str) -> Result<SpaceShare, String> {
     let (space, weight) = match words.rsplit_once('=') {
+        Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
         Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
         None => (words, 1.0),
     };
+    if space.trim().is_empty() {
+        return Err("no space is named".to_owned());
+    }
     Ok(SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 })
 }
 

@@ -8,8 +8,8 @@ const MOST_BYTES: u64 = 4 << 30;
 /// The columns of a factor of a product are filled up to a multiple of this.
 const PANEL: u64 = 32;
 
-/// Bytes of a held-out draw with the run that is made of it: measured.
-const DRAW_BYTES: u64 = 4096;
+/// Bytes of a held-out draw with the run that is made of it, as measured, and a tenth more.
+const DRAW_BYTES: u64 = 2560;
 
 /// Numbers of a network that is fully connected from each of these to the next.
 struct Shape(Vec<u64>);
@@ -101,10 +101,11 @@ pub(super) fn check(config: &TrainingConfig) -> Result<(), ConfigError> {
     }
     let field = parts(config).into_iter().max_by_key(|(_, bytes)| *bytes).map_or("network.hidden", |(field, _)| field);
     let others: Vec<_> = parts(config).into_iter().map(|(other, _)| other).filter(|other| *other != field).collect();
+    let (last, others) = others.split_last().map_or(("", &[][..]), |(last, others)| (*last, others));
     let problem = format!(
-        "takes some {} MiB of memory with {}, and {} MiB are the most",
+        "takes some {} MiB of memory with {} and {last}, and {} MiB are the most",
         found >> 20,
-        others.join(" and "),
+        others.join(", "),
         most >> 20
     );
     Err(ConfigError::Field { field: field.to_owned(), problem })
@@ -133,7 +134,10 @@ mod tests {
         };
         refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
         refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
-        refused("evaluation.ranking_draws", changed(&|config| config.evaluation.screening_draws = 1_000_000));
+        let judged = |config: &mut TrainingConfig| {
+            (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (1_000_000, 1_000_000);
+        };
+        refused("evaluation.ranking_draws", changed(&judged));
         let wide = |config: &mut TrainingConfig| {
             (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
         };
@@ -153,7 +157,7 @@ mod tests {
         fn shape(name: &str) -> TrainingConfig {
             let mut config = TrainingConfig::preset("road").unwrap();
             // An episode is a decision, and makes an update.
-            (config.environment.decision_steps, config.exploration.random_episodes, config.episodes) = (1500, 1, 4);
+            (config.environment.decision_steps, config.exploration.random_episodes, config.episodes) = (1500, 1, 2);
             config.learning.decisions_per_update = 1;
             config.td3.actor_every = 1;
             config.evaluation.every_episodes = 2;
@@ -163,27 +167,27 @@ mod tests {
             (config.replay.capacity, config.learning.batch) = (1000, 100);
             match name {
                 "nothing" => (config.replay.capacity, config.learning.batch) = (1, 1),
-                "large-replay" => config.replay.capacity = 1_500_000,
+                "large-replay" => config.replay.capacity = 500_000,
                 "long-history" => {
                     config.environment.observation.history = 16;
-                    (config.replay.capacity, config.learning.batch) = (200_000, 4096);
+                    (config.replay.capacity, config.learning.batch) = (35_000, 1024);
                     config.learning.privileged_critic = true;
                 }
                 "big-batch" => {
-                    (config.replay.capacity, config.learning.batch) = (65_536, 65_536);
-                    config.network.hidden = vec![128; 3];
+                    (config.replay.capacity, config.learning.batch) = (20_000, 20_000);
+                    config.network.hidden = vec![64; 3];
                 }
                 "smooth" => {
-                    (config.replay.capacity, config.learning.batch) = (65_536, 65_536);
+                    (config.replay.capacity, config.learning.batch) = (16_384, 16_384);
                     config.environment.observation.history = 16;
                     config.network.hidden = vec![32];
                     config.learning.smoothness_penalty = 20.0;
                 }
                 "wide" => {
-                    config.network.hidden = vec![1600; 3];
+                    config.network.hidden = vec![640; 3];
                     config.evaluation.mean_over_updates = 10;
                 }
-                "draws" => config.evaluation.screening_draws = 40_000,
+                "draws" => config.evaluation.screening_draws = 20_000,
                 other => panic!("{other}"),
             }
             config.check().unwrap();
@@ -201,7 +205,8 @@ mod tests {
                 let mut folder = TrainingFolder::open(out.path(), &config, 1, resume).unwrap();
                 let seen = vec![0.5; config.environment.observation.width()];
                 let privileged = vec![0.5; 2 * config.learning.privileged()];
-                for number in 0..config.replay.capacity {
+                let room = config.replay.capacity - folder.trainer.replay.len();
+                for number in 0..room {
                     folder.trainer.replay.push(&Transition {
                         state: &seen,
                         next_state: &seen,
@@ -229,7 +234,7 @@ mod tests {
             kibibytes.unwrap_or_else(|| panic!("{shape}: {said}")).parse::<u64>().unwrap() << 10
         }
 
-        /// Beyond what a training takes that has nothing to hold, the estimate is what is taken, or up to half as much again.
+        /// Beyond what a training takes that has nothing to hold, the estimate is what is taken, within a third.
         #[test]
         fn the_estimate_is_what_trainings_take() {
             let nothing = measured_bytes("nothing");
@@ -237,7 +242,7 @@ mod tests {
                 let (estimated, taken) = (bytes(&shape(name)), measured_bytes(name).saturating_sub(nothing));
                 let times = estimated as f64 / taken as f64;
                 println!("{name}: {} MiB estimated, {} MiB taken, {times:.2}", estimated >> 20, taken >> 20);
-                assert!((0.9..1.6).contains(&times), "{name}: {estimated} estimated, {taken} taken");
+                assert!((0.8..1.33).contains(&times), "{name}: {estimated} estimated, {taken} taken");
             }
         }
     }

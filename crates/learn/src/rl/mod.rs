@@ -17,6 +17,7 @@ mod environment;
 mod evaluation;
 mod folder;
 mod learner;
+mod limits;
 mod memory;
 mod observation;
 #[cfg(any(test, feature = "oracle"))]
