@@ -39,7 +39,7 @@ controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`
 gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
 goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
-memory for each seed, as estimated from its networks, batches and replay memory. A seed that diverges, or of which no checkpoint \
+memory for each seed, as estimated from its networks, batches, replay memory and the draws that policies are judged on. A seed that diverges, or of which no checkpoint \
 is better than the untrained network, is named, and the exit code is 1: where nothing was learned no policy is kept, and the other \
 seeds are trained to their ends all the same. What each field of a preset means and what becomes of a training is in docs/training.md.
 

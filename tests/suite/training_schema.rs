@@ -56,6 +56,8 @@ fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
         for (place, nonsense) in [
             ("/version", serde_json::json!("one")),
             ("/name", serde_json::json!("")),
+            ("/learning/smoothness_penalty", serde_json::json!(1e-9)),
+            ("/learning/saturation_penalty", serde_json::json!(1e-50)),
             ("/environment/observation", without_history),
             ("/environment/estimator", serde_json::json!("eyes")),
             ("/environment/costs", serde_json::json!({ "smoothness": 1.0 })),

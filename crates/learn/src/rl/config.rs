@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::blend::{self, SpaceShare};
+use super::limits::PENALTIES;
 use super::observation::ObservationConfig;
 use super::privileged::PRIVILEGED;
 use super::replay::Remembered;
@@ -138,10 +139,12 @@ pub struct LearningConfig {
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
     #[serde(deserialize_with = "single")]
+    #[schemars(extend("anyOf" = penalties()))]
     pub saturation_penalty: f32,
     /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
     /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
     #[serde(default, skip_serializing_if = "is_nothing", deserialize_with = "single")]
+    #[schemars(extend("anyOf" = penalties()))]
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -153,6 +156,12 @@ impl LearningConfig {
     pub(super) fn privileged(&self) -> usize {
         if self.privileged_critic { PRIVILEGED } else { 0 }
     }
+}
+
+/// Of the schema: a penalty is none, or one that does something.
+fn penalties() -> serde_json::Value {
+    let [least, most] = PENALTIES;
+    serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]

@@ -16,16 +16,18 @@ pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(
     }
 }
 
-/// The least weight of a penalty that is not 0. What is less is lost in the rounding of what it is added to, and somebody may have meant
-/// it to do something.
-const LEAST_PENALTY: f32 = 1e-6;
+/// Weights of a penalty that is not 0. What is less is lost in the rounding of what it is added to, and somebody may have meant it to do
+/// something.
+pub(super) const PENALTIES: [f64; 2] = [1e-6, 1e3];
 
 fn penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
-    if 0.0 < weight && weight < LEAST_PENALTY {
-        let problem = format!("must be 0, for none, or between {LEAST_PENALTY} and 1000: less would do nothing");
+    let (weight, [least, most]) = (f64::from(weight), PENALTIES);
+    // As somebody wrote it, the least in single precision is no less.
+    if 0.0 < weight && weight < f64::from(least as f32) {
+        let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
         return Err(ConfigError::Field { field: field.to_owned(), problem });
     }
-    within(field, f64::from(weight), [0.0, 1e3])
+    within(field, weight, [0.0, most])
 }
 
 impl TrainingConfig {
