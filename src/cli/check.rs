@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -9,7 +10,7 @@ use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, ch
 
 use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
-use super::{Failure, cruise, interrupt, output, progress, subject};
+use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
 use crumple_search::evidence::{Rerun, RerunError, Sample, bound, checker_file, lies_within};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
@@ -206,8 +207,14 @@ fn is_source(path: &Path) -> bool {
 }
 
 fn certificate(path: &Path) -> Result<Certificate, Failure> {
+    if let Some(what) = own_file::known(path) {
+        return Err(Failure::Input(format!("{}: is no certificate, but {what}", path.display())));
+    }
     let file = File::open(path).map_err(|source| Failure::unreadable(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
+        ParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
+            Failure::Input(format!("{}: is not a certificate: it is not UTF-8 text", path.display()))
+        }
         ParseError::Read(source) => Failure::unreadable(path.to_owned(), source),
         other => Failure::Input(format!("{}: {other}", path.display())),
     })

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::output;
 use super::simulate::Format;
-use super::{Failure, subject};
+use super::{Failure, output, own_file, subject};
 use crumple_world::control::{Mapping, Quantity};
-use crumple_world::network::{FileFormat, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace};
+use crumple_world::network::{
+    FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace,
+};
 
 /// What a network from outside says of itself, as a controller file to begin with
 #[derive(Args)]
@@ -74,7 +75,7 @@ const GUESSES: [Quantity; 6] = [
 impl Describe {
     pub(super) fn run(self) -> Result<(), Failure> {
         let place = &self.file;
-        let network = NetworkFile::load(place).map_err(Failure::input)?;
+        let network = NetworkFile::load(place).map_err(|error| self.not_a_network(&error))?;
         let statistics = network.saved_model().and_then(|_| Statistics::beside(place));
         let normalisation = match statistics.as_deref().map(Statistics::load) {
             Some(Statistics::OfObservations(normalisation)) => Some(normalisation),
@@ -106,6 +107,21 @@ impl Describe {
         match self.format {
             Format::Json => output::print_json(&description),
             Format::Text => output::print(&format!("{}{}", description.comments(), description.controller_file)),
+        }
+    }
+}
+
+impl Describe {
+    /// Why there is nothing to describe: of what drives as it is, that.
+    fn not_a_network(&self, error: &NetworkError) -> Failure {
+        let place = self.file.display();
+        let names_no_network = !NetworkFile::is_one(&self.file);
+        match own_file::known(&self.file) {
+            Some(what) => Failure::Input(format!("{place}: is no network from outside, but {what}")),
+            None if names_no_network && subject::find(&self.file.to_string_lossy()).is_ok() => Failure::Input(format!(
+                "{place}: is no network from outside, but a controller as it is: name it after --controller of other commands"
+            )),
+            None => Failure::input(error),
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Failure;
-use crumple_learn::rl::{ConfigError, TrainingConfig};
+use super::{Failure, own_file};
+use crumple_learn::rl::{ConfigError, PRESETS, TrainingConfig};
 use crumple_world::scenario::file;
 
 /// A configuration with the file that says it, so that what turns out to be wrong later still has a line.
@@ -19,8 +19,23 @@ impl Preset {
         if let Some(preset) = Self::in_file(name)? {
             return Ok(preset);
         }
-        let text = TrainingConfig::preset_text(name).map_err(Failure::input)?.to_owned();
+        let text = TrainingConfig::preset_text(name).map_err(|_| unknown(name, None))?.to_owned();
         Ok(Self { config: TrainingConfig::preset(name).map_err(Failure::input)?, text, path: PathBuf::from(name) })
+    }
+
+    /// As [`Self::find`], for a command that has a preset of its own besides, which is not the one of that name.
+    pub(super) fn find_beside(own: &str, name: &str) -> Result<Self, Failure> {
+        match Self::in_file(name)? {
+            Some(preset) => Ok(preset),
+            None if TrainingConfig::preset_text(name).is_ok() => Self::find(name),
+            None => Err(unknown(name, Some(own))),
+        }
+    }
+
+    /// Its configuration, if its spaces are there to be drawn from.
+    pub(super) fn with_spaces(self) -> Result<TrainingConfig, Failure> {
+        self.config.source().map_err(|error| self.failure(error))?;
+        Ok(self.config)
     }
 
     /// The preset in a file; none where the name can only be that of a committed one.
@@ -29,6 +44,9 @@ impl Preset {
         // A committed preset's name is its own, whatever lies in the folder.
         if path.extension().is_none() && (TrainingConfig::preset_text(name).is_ok() || !path.exists()) {
             return Ok(None);
+        }
+        if let Some(what) = own_file::known(path) {
+            return Err(Failure::Input(format!("{}: is no preset, but {what}", path.display())));
         }
         let text = file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(Failure::input)?;
@@ -40,3 +58,16 @@ impl Preset {
         Failure::input(error.in_text(&self.text, &self.path))
     }
 }
+
+/// What presets there are instead, with the command's own.
+fn unknown(name: &str, own: Option<&str>) -> Failure {
+    if name.trim().is_empty() {
+        return Failure::Input("--preset: none is named".to_owned());
+    }
+    let names: Vec<&str> = own.into_iter().chain(PRESETS.iter().map(|(name, _)| *name)).collect();
+    let hint = if own.is_none() && RETRAIN.contains(&name) { ": it is the preset of `crumple retrain`" } else { "" };
+    Failure::Input(format!("there is no preset `{name}`, and no such file{hint}; there are {}", names.join(", ")))
+}
+
+/// The preset of `crumple retrain`, and what it was called before.
+pub(super) const RETRAIN: [&str; 2] = ["retrain", "harden"];

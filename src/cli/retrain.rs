@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, value_parser};
 use indicatif::ProgressBar;
 
-use super::preset::Preset;
+use super::preset::{Preset, RETRAIN};
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
@@ -39,7 +39,7 @@ pub(super) struct Retrain {
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
     space: (String, Space),
-    /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here
+    /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here but must be there
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
     /// Rounds at most: 1 to 99
@@ -126,13 +126,23 @@ impl Retrain {
         let bar = progress::line(quiet);
         let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
         bar.finish_and_clear();
-        let report = report?;
+        let report = report.map_err(|error| as_named(error, &self.preset))?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         let printed = output::print(&match self.format {
             Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
             Format::Text => report.to_markdown(),
         });
         Failure::gate_first(gate(&report), printed)
+    }
+}
+
+/// An error about the preset by the name it was asked for by: the committed one is still called by its former name in itself.
+fn as_named(error: RetrainError, preset: &str) -> RetrainError {
+    match error {
+        RetrainError::OtherPolicy { policy, what, .. } => {
+            RetrainError::OtherPolicy { policy, preset: preset.to_owned(), what }
+        }
+        other => other,
     }
 }
 
@@ -176,10 +186,11 @@ const MOST_REGRESSION_SPACES: usize = 32;
 
 /// The preset of that name, or the one in a file.
 fn training(name: &str) -> Result<TrainingConfig, Failure> {
-    match name {
-        "retrain" | "harden" => training_preset().map_err(Failure::input),
-        other => Ok(Preset::find(other)?.config),
+    if RETRAIN.contains(&name) {
+        return training_preset().map_err(Failure::input);
     }
+    // What it names has to be there, though nothing is drawn from it here: else it is a mistake.
+    Preset::find_beside(RETRAIN[0], name)?.with_spaces()
 }
 
 fn show(bar: &ProgressBar, state: Progress) {

@@ -50,6 +50,9 @@ pub(super) fn whole(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, 
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.
 pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
+    if name_or_path.trim().is_empty() {
+        return Err("no space is named".to_owned());
+    }
     let space = find_space(name_or_path).map_err(|error| error.to_string())?;
     Ok((name_or_path.to_owned(), space))
 }

@@ -39,7 +39,7 @@ controller for every other subcommand), `log.jsonl` and `checkpoint.safetensors`
 gives the same bytes whatever the number of threads, and whether or not it was interrupted and resumed. `training.json` \
 and `learning-curve.svg` are about all finished seeds in the folder, which must be trained in the same way; a finished training \
 goes on with --resume and more --episodes. Files are checked when work goes on (see crumple fsck). A training may take 4 GiB of \
-memory for each seed, as estimated from its networks, batches and replay memory. A seed that diverges, or of which no checkpoint \
+memory for each seed, as estimated from its networks, batches, replay memory and the draws that policies are judged on. A seed that diverges, or of which no checkpoint \
 is better than the untrained network, is named, and the exit code is 1: where nothing was learned no policy is kept, and the other \
 seeds are trained to their ends all the same. What each field of a preset means and what becomes of a training is in docs/training.md.
 
@@ -83,9 +83,13 @@ pub(super) struct Train {
 /// `traffic`, or `wet.toml=0.2`.
 fn space_share(words: &str) -> Result<SpaceShare, String> {
     let (space, weight) = match words.rsplit_once('=') {
+        Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
         Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
         None => (words, 1.0),
     };
+    if space.trim().is_empty() {
+        return Err("no space is named".to_owned());
+    }
     Ok(SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 })
 }
 

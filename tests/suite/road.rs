@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_learn::rl::TrainingConfig;
+use crumple_learn::rl::{RatesFall, TrainingConfig};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Usefulness;
 use crumple_world::observation::EstimatorKind;
@@ -52,6 +52,72 @@ fn what_was_trained_is_made_of_configurations() {
         names.push(config.name);
     }
     assert_eq!(names.len(), 8, "{names:?}");
+}
+
+/// What was tried besides in `reports/training.md` is what the row says, and nothing else.
+#[test]
+fn what_was_tried_is_a_configuration_each() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/training");
+    let read = |path: &Path| TrainingConfig::parse(&std::fs::read_to_string(path).unwrap(), path).unwrap();
+    let [looking_back, smooth] = ["looking-back.toml", "smooth.toml"].map(|name| read(&folder.join(name)));
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder.join("tried")).unwrap() {
+        let path = entry.unwrap().path();
+        let config = read(&path);
+        assert_eq!(Some(config.name.as_str()), path.file_stem().and_then(|stem| stem.to_str()));
+        let mut expected = match config.name.split_once('-') {
+            Some(("looking", _)) => looking_back.clone(),
+            Some(("smooth", _)) => smooth.clone(),
+            _ => TrainingConfig::preset("road").unwrap(),
+        };
+        let falls = |until_episode, to_share| Some(RatesFall { until_episode, to_share });
+        let TrainingConfig { environment, learning, evaluation, episodes, .. } = &mut expected;
+        match config.name.as_str() {
+            "longer" => *episodes = 4000,
+            "mean-of-weights" => evaluation.mean_over_updates = 10_000,
+            "four-decisions" => (*episodes, environment.observation.history) = (750, 4),
+            "falling" => learning.rates_fall = falls(1000, 0.1),
+            "falling-privileged" => (learning.rates_fall, learning.privileged_critic) = (falls(1000, 0.1), true),
+            "falling-slow" => {
+                (*episodes, learning.rates_fall, learning.privileged_critic) = (750, falls(1000, 0.1), true);
+                environment.departs_from.as_mut().unwrap().rate_per_s = 10.0;
+            }
+            "looking-back-jerk" => (*episodes, environment.costs.jerk) = (1300, 3.0),
+            "looking-back-mean" => {
+                (environment.costs.jerk, evaluation.mean_over_updates) = (1.5, 5000);
+                learning.rates_fall = falls(700, 0.05);
+            }
+            "smooth-60" => (*episodes, learning.smoothness_penalty) = (600, 60.0),
+            "smooth-6" => (*episodes, learning.smoothness_penalty) = (450, 6.0),
+            "smooth-needless" => {
+                (*episodes, learning.smoothness_penalty, environment.costs.needless) = (525, 15.0, 1.0);
+            }
+            other => panic!("{other}"),
+        }
+        expected.name.clone_from(&config.name);
+        assert_eq!(config, expected);
+        names.push(config.name);
+    }
+    assert_eq!(names.len(), 11, "{names:?}");
+}
+
+/// Whatever the report links to is there, and no configuration of an ablation or of what was tried is there for nothing.
+#[test]
+fn the_report_links_to_the_configurations_of_its_tables() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let report = std::fs::read_to_string(root.join("reports/training.md")).unwrap();
+    let links = report.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    let links: Vec<_> = links.filter(|link| !link.starts_with("http")).collect();
+    for link in &links {
+        let path = link.split('#').next().unwrap();
+        assert!(path.is_empty() || root.join("reports").join(path).exists(), "{link}");
+    }
+    for folder in ["ablation", "tried"] {
+        for entry in std::fs::read_dir(root.join("corpora/training").join(folder)).unwrap() {
+            let file = format!("../corpora/training/{folder}/{}", entry.unwrap().file_name().to_str().unwrap());
+            assert!(links.contains(&file.as_str()), "{file}");
+        }
+    }
 }
 
 /// Each of the ablations in `reports/training.md` is the paper's setting but for the one thing that it is named for.

@@ -31,6 +31,15 @@ pub(crate) fn validate(root: &Value, schema: &Value, value: &Value, place: &str)
             "const" => rule == value,
             "minimum" => value.as_f64().is_none_or(|found| found >= number(rule)),
             "maximum" => value.as_f64().is_none_or(|found| found <= number(rule)),
+            // What "if" leads to.
+            "then" => true,
+            "if" => {
+                if let (true, Some(then)) = (validate(root, rule, value, place).is_ok(), rules.get("then")) {
+                    validate(root, then, value, place)?;
+                }
+                true
+            }
+            "minLength" => value.as_str().is_none_or(|text| text.chars().count() as f64 >= number(rule)),
             "minItems" => value.as_array().is_none_or(|items| items.len() as f64 >= number(rule)),
             "maxItems" => value.as_array().is_none_or(|items| items.len() as f64 <= number(rule)),
             "prefixItems" => {

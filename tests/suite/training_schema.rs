@@ -51,8 +51,14 @@ fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
         let parsed = |text: &toml::Table| TrainingConfig::parse(&toml::to_string(text).unwrap(), Path::new("preset"));
         let table: toml::Table = toml::to_string(&preset).unwrap().parse().unwrap();
         assert_eq!(parsed(&table).unwrap(), preset, "a preset survives being written");
+        let mut without_history = serde_json::to_value(&preset.environment.observation).unwrap();
+        without_history["history_every"] = serde_json::json!(5);
         for (place, nonsense) in [
             ("/version", serde_json::json!("one")),
+            ("/name", serde_json::json!("")),
+            ("/learning/smoothness_penalty", serde_json::json!(1e-9)),
+            ("/learning/saturation_penalty", serde_json::json!(1e-50)),
+            ("/environment/observation", without_history),
             ("/environment/estimator", serde_json::json!("eyes")),
             ("/environment/costs", serde_json::json!({ "smoothness": 1.0 })),
             ("/environment/observation", serde_json::json!({ "limit": 4.0 })),

@@ -45,12 +45,22 @@ fn sha256(path: &Path) -> String {
 #[test]
 fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     let folder = folder();
-    fs::write(folder.path().join("tiny.toml"), tiny::retraining()).unwrap();
+    // Nothing is drawn from a preset's own spaces, and nothing says that it was.
+    let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
+    fs::write(folder.path().join("tiny.toml"), format!("{}\n{traffic}", tiny::retraining())).unwrap();
     let through = command(folder.path(), &retrain("through", &["--format", "json"]))
         .env("RAYON_NUM_THREADS", "1")
         .output()
         .unwrap();
     check_report(&folder.path().join("through"), &objects(&through)[0]);
+    for round in ["01", "02"] {
+        let path = folder.path().join("through/rounds").join(round).join("candidate.safetensors");
+        let header = crumple_world::policy::Policy::load(&path).unwrap().header().training.clone();
+        assert_eq!(header.get("spaces"), None);
+        assert!(header["scenarios"].as_str().unwrap().contains("otherwise the space `high-risk`"), "{header}");
+    }
+    let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
+    assert!(!plan.contains("costs_times"), "{plan}");
     let resume = retrain("killed", &["--format", "json", "--resume"]);
     let killed = killed_at_random(folder.path(), &resume, (0..6).map(|attempt| 20..300 + 200 * attempt));
     assert!(killed >= 2, "killed {killed} times");
@@ -129,10 +139,21 @@ fn mistakes_are_said_before_anything_is_written() {
         .unwrap();
     assert!(retrain(&["--preset", "lists.toml"]).starts_with("error: lists.toml:4: environment: "));
     fs::remove_file(folder.path().join("lists.toml")).unwrap();
-    assert!(retrain(&["--preset", "slow"]).contains("there is no preset `slow`"));
+    let unknown = "there is no preset `slow`, and no such file; there are retrain, fast, paper, paper-net, road";
+    assert!(retrain(&["--preset", "slow"]).contains(unknown));
+    let nowhere = format!("{}\n[[spaces]]\nspace = \"nowhere\"\nweight = 1\n", tiny::retraining());
+    fs::write(folder.path().join("own.toml"), &nowhere).unwrap();
+    let expected = format!("error: own.toml:{}: spaces[0].space: `nowhere` is neither", nowhere.lines().count() - 1);
+    assert!(retrain(&["--preset", "own.toml"]).starts_with(&expected), "{expected}");
+    fs::remove_file(folder.path().join("own.toml")).unwrap();
+    assert!(retrain(&["--space", ""]).contains("no space is named"));
     assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
     // A network that was trained to see otherwise scaled numbers would drive by others.
-    assert!(retrain(&["--preset", "road"]).contains("differ in what is seen, or how it is scaled"));
+    let differ = "and the training preset `road` differ in what is seen, or how it is scaled";
+    assert!(retrain(&["--preset", "road"]).contains(differ));
+    // By the name that it has on the command line.
+    let road = format!("{}/corpora/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
+    assert!(retrain(&["--policy", &road]).contains("and the training preset `retrain` differ in"));
     assert!(retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` stands alone"));
     assert!(retrain(&["--regression", "paper", "--regression", "paper"]).contains("two spaces are called `paper`"));
     assert!(retrain(&["--regression", "nowhere"]).contains("--regression: `nowhere` is neither"));

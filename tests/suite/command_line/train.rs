@@ -53,6 +53,35 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     }
 }
 
+/// A training that ended and was made longer is the longer one, wherever it ended: after an evaluation, or between two.
+#[test]
+fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
+    let folder = folder();
+    let preset = tiny::changed(&tiny::training(), &[("every_episodes = 1", "every_episodes = 3")]);
+    fs::write(folder.path().join("tiny.toml"), preset).unwrap();
+    let train = |out: &str, episodes: &str, more: &[&str]| {
+        let common = ["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", episodes, "--out", out];
+        let trained = crumple(folder.path(), &[&common, more].concat());
+        assert!([0, 1].contains(&code(&trained)), "{}", stderr(&trained));
+    };
+    train("straight", "14", &[]);
+    // At once, during the random episodes, after an evaluation and between two.
+    for (out, ends) in [("short", ["2", "3"]), ("longer", ["6", "11"])] {
+        train(out, ends[0], &[]);
+        let log = fs::read_to_string(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
+        let last = log.lines().last().unwrap();
+        let is_of_the_end = last.contains("evaluation") && last.contains(&format!("\"episode\":{}", ends[0]));
+        assert!(is_of_the_end, "its end is judged: {last}");
+        for episodes in [ends[1], "14"] {
+            train(out, episodes, &["--resume"]);
+        }
+        let both = files(folder.path(), "straight", 4).into_iter().zip(files(folder.path(), out, 4));
+        for (name, (straight, longer)) in FILES.iter().zip(both) {
+            assert!(straight == longer, "{out}: {name}");
+        }
+    }
+}
+
 /// Whatever order seeds are trained in, and in however many commands, `training.json` is about all of them.
 #[test]
 fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
@@ -126,6 +155,8 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
         ("nowhere", "error: --space nowhere: `nowhere` is neither a built-in space"),
         ("steady=0", "error: --space steady: the weight must be between 0.000001 and 1000000, found 0"),
         ("steady=much", "`much` is no weight"),
+        ("steady=", "no weight stands behind the `=`"),
+        ("=1", "'=1' for '--space <S[=WEIGHT]>': no space is named"),
         ("paper-3.toml", "paper-3.toml"),
     ] {
         assert_refused(&train("refused", &[space]), reason);
@@ -176,6 +207,25 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
         let refused = crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
         assert_refused(&refused, reason);
     }
-    let refused = crumple(folder.path(), &["train", "--preset", "slow"]);
-    assert_refused(&refused, "there is no preset `slow`");
+    let names = "there are fast, paper, paper-net, road";
+    for (preset, reason) in [
+        ("slow", format!("there is no preset `slow`, and no such file; {names}")),
+        ("retrain", format!("no such file: it is the preset of `crumple retrain`; {names}")),
+        ("", "--preset: none is named".to_owned()),
+        (policy, format!("{policy}: is no preset, but a policy")),
+    ] {
+        assert_refused(&crumple(folder.path(), &["train", "--preset", preset]), &reason);
+    }
+    // What is wanted is another kind of file; it is said which this is, and what takes it.
+    for (command, wanted) in [("describe", "is no network from outside"), ("check", "is no certificate")] {
+        let drives = "but a policy, which is a controller as it is: `crumple simulate paper-1 --controller FILE`";
+        let refused = crumple(folder.path(), &[command, policy]);
+        assert_refused(&refused, &format!("error: {policy}: {wanted}, {drives}"));
+        let refused = crumple(folder.path(), &[command, "run/seed-4/checkpoint.safetensors"]);
+        assert_refused(&refused, &format!("{wanted}, but a checkpoint, from which `crumple train`"));
+    }
+    let described = crumple(folder.path(), &["describe", "baseline"]);
+    assert_refused(&described, "baseline: is no network from outside, but a controller as it is");
+    let checked = crumple(folder.path(), &["check", "none.safetensors"]);
+    assert_refused(&checked, "none.safetensors: No such file");
 }

@@ -147,6 +147,12 @@ impl RetrainingPlan {
         self.training.environment.estimator
     }
 
+    /// How the learner learns until so many episodes are done. What it draws from is the retraining's to say: spaces of the preset would stand
+    /// in the policy without ever having been drawn from.
+    pub(super) fn training_until(&self, episodes: u64) -> TrainingConfig {
+        TrainingConfig { episodes, spaces: Vec::new(), ..self.training.clone() }
+    }
+
     pub(super) fn search_seed(&self, round: u64) -> u64 {
         derived_seed(self.seed, SEARCHES + round)
     }
@@ -170,7 +176,7 @@ impl RetrainingPlan {
             method: self.method.name(),
             seed: self.seed,
             settings: self.settings,
-            training: &self.training,
+            training: &self.training_until(self.training.episodes),
             space: self.space.spec(),
             regression: self.regression.iter().map(named).collect::<Result<_, RetrainError>>()?,
         };

@@ -7,9 +7,7 @@ use super::cases::Cases;
 use super::files::{read_json, to_json};
 use super::round::{Checkpoint, RoundContext, Trained, in_round};
 use super::run::{Progress, Show};
-use crate::rl::{
-    Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingConfig, TrainingError, train,
-};
+use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingError, train};
 use crumple_search::work::WorkError;
 use crumple_world::policy::Policy;
 
@@ -38,7 +36,7 @@ impl RoundContext<'_> {
     fn learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
         let (seed, from_episode) = self.learner_from();
         let episodes = from_episode + self.plan.settings.episodes;
-        let config = TrainingConfig { episodes, ..self.plan.training.clone() };
+        let config = self.plan.training_until(episodes);
         let source = self.source(cases)?;
         let taken_up = |name: &str, bytes: &[u8], source| {
             let path = self.work.path(name);
@@ -110,11 +108,13 @@ impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
         // The learner last: what the list has beyond it is cut off.
         let before = self.before;
         let (lists, learner) = (before.name(CHECKPOINTS), before.name(LEARNER));
-        let (checkpoints, bytes) = (to_json(&self.checkpoints)?, trainer.to_checkpoint()?);
-        let keep =
-            || before.work.changes().advance(&lists, checkpoints.as_str()).advance(&learner, bytes.as_slice()).commit();
-        keep()?;
-        // The next round goes on from the end of this one, and from nothing before it: that is kept twice.
-        if trainer.is_done() { Ok(keep()?) } else { Ok(()) }
+        let checkpoints = to_json(&self.checkpoints)?;
+        // The next round goes on from the end of this one, and from nothing before it: that is kept twice. It is made twice, too, for it
+        // may be half of the memory.
+        for _ in 0..if trainer.is_done() { 2 } else { 1 } {
+            let bytes = trainer.to_checkpoint()?;
+            before.work.changes().advance(&lists, checkpoints.as_str()).advance(&learner, bytes).commit()?;
+        }
+        Ok(())
     }
 }

@@ -6,7 +6,8 @@ use rand::RngExt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::config::{ConfigError, within};
+use super::config::ConfigError;
+use super::limits::within;
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{Space, find_space};
@@ -118,6 +119,10 @@ impl ScenarioSource for WeightedSpaces {
 
     fn costs_times(&self, seed: u64, index: u64) -> f64 {
         self.turn(seed, index).map_or(1.0, |part| part.costs_times)
+    }
+
+    fn most_costs_times(&self) -> f64 {
+        self.parts.iter().fold(1.0, |most, part| most.max(part.costs_times))
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {

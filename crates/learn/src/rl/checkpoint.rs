@@ -1,9 +1,11 @@
 //! A training on disk: everything that decides how it goes on.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
+use pulp::bytemuck;
 use safetensors::SafeTensors;
-use safetensors::tensor::{Dtype, TensorView};
+use safetensors::tensor::{Dtype, View};
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
@@ -43,15 +45,44 @@ struct Header {
 const VERSION: u32 = 3;
 
 impl Header {
-    fn digest<'a>(&self, arrays: impl Iterator<Item = (&'a str, &'a [u8])>) -> Result<String, TrainingError> {
+    fn digest<'a, B: AsRef<[u8]>>(&self, arrays: impl Iterator<Item = (&'a str, B)>) -> Result<String, TrainingError> {
         let mut digest = Sha256::default();
         digest.update(serde_json::to_string(self).map_err(broken)?);
         for (name, bytes) in arrays {
+            let bytes = bytes.as_ref();
             digest.update(name);
             digest.update((bytes.len() as u64).to_le_bytes());
             digest.update(bytes);
         }
         Ok(digest.hexadecimal())
+    }
+}
+
+/// An array as the file holds it, without a copy of it where numbers lie in memory as in the file.
+struct Array<'a> {
+    shape: [usize; 1],
+    values: &'a [f32],
+}
+
+impl View for Array<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        if cfg!(target_endian = "little") {
+            Cow::Borrowed(bytemuck::cast_slice(self.values))
+        } else {
+            self.values.iter().flat_map(|value| value.to_le_bytes()).collect()
+        }
+    }
+
+    fn data_len(&self) -> usize {
+        size_of_val(self.values)
     }
 }
 
@@ -75,7 +106,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
     pub fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
-        let (stored, replay) = self.replay.to_numbers();
+        let (stored, replay) = self.replay.as_numbers();
         let mut header = Header {
             version: VERSION,
             program: program::identity()?.to_owned(),
@@ -91,7 +122,7 @@ impl Trainer {
             best: self.best.as_ref().map(|best| (best.episode, best.evaluation)),
             mastered: self.mastered,
         };
-        let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), &replay)];
+        let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), replay)];
         for (name, part) in self.parts() {
             for (what, values) in [
                 ("network", part.network.parameters()),
@@ -108,19 +139,12 @@ impl Trainer {
         if let Some(best) = &self.best {
             arrays.push(("best".to_owned(), best.network.parameters()));
         }
-        let mut bytes: Vec<(String, Vec<u8>)> = arrays
-            .into_iter()
-            .map(|(name, values)| (name, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
-            .collect();
-        bytes.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
-        header.sha256 = header.digest(bytes.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())))?;
-        let views = bytes
-            .iter()
-            .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
-            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-            .map_err(broken)?;
+        let mut arrays: Vec<(String, Array<'_>)> =
+            arrays.into_iter().map(|(name, values)| (name, Array { shape: [values.len()], values })).collect();
+        arrays.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
+        header.sha256 = header.digest(arrays.iter().map(|(name, array)| (name.as_str(), array.data())))?;
         let text = serde_json::to_string(&header).map_err(broken)?;
-        safetensors::serialize(views, Some([(KEY.to_owned(), text)].into())).map_err(broken)
+        safetensors::serialize(arrays, Some([(KEY.to_owned(), text)].into())).map_err(broken)
     }
 
     /// The training that [`Trainer::to_checkpoint`] wrote, which must have been one of `config` and `seed`; only the
@@ -182,7 +206,7 @@ impl Trainer {
             part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
         }
         let replay = numbers(&arrays, "replay")?;
-        trainer.replay = Replay::from_numbers(config.replay.capacity, config.remembered(), header.stored, &replay)
+        trainer.replay = Replay::from_numbers(config.replay.capacity, config.remembered(), header.stored, replay)
             .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {

@@ -7,10 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::blend::{self, SpaceShare};
+use super::limits::PENALTIES;
 use super::observation::ObservationConfig;
 use super::privileged::PRIVILEGED;
 use super::replay::Remembered;
 use super::reward::CostConfig;
+use super::single::single;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Departure;
@@ -33,7 +35,8 @@ pub const TRAINING_VERSION: u32 = 1;
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
-    /// Name of the preset.
+    /// Name of the preset, which policies and tables state.
+    #[schemars(length(min = 1))]
     pub name: String,
     /// Episodes at most.
     pub episodes: u64,
@@ -105,6 +108,7 @@ pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
     /// Output weights start uniform within plus and minus this; 0 for the fan-in bound that all other layers have.
+    #[serde(deserialize_with = "single")]
     pub final_layer_bound: f32,
 }
 
@@ -114,12 +118,15 @@ pub struct NetworkConfig {
 #[non_exhaustive]
 pub struct LearningConfig {
     /// Adam's step size of the actor.
+    #[serde(deserialize_with = "single")]
     pub actor_rate: f32,
     /// Adam's step size of the critic.
+    #[serde(deserialize_with = "single")]
     pub critic_rate: f32,
     /// Discount a decision.
     pub discount: f64,
     /// Share of the new weights that the targets take on in an update.
+    #[serde(deserialize_with = "single")]
     pub soft_update: f32,
     /// Transitions in an update.
     pub batch: usize,
@@ -131,10 +138,13 @@ pub struct LearningConfig {
     pub privileged_critic: bool,
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
+    #[serde(deserialize_with = "single")]
+    #[schemars(extend("anyOf" = penalties()))]
     pub saturation_penalty: f32,
     /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
     /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
-    #[serde(default, skip_serializing_if = "is_nothing")]
+    #[serde(default, skip_serializing_if = "is_nothing", deserialize_with = "single")]
+    #[schemars(extend("anyOf" = penalties()))]
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -146,6 +156,12 @@ impl LearningConfig {
     pub(super) fn privileged(&self) -> usize {
         if self.privileged_critic { PRIVILEGED } else { 0 }
     }
+}
+
+/// Of the schema: a penalty is none, or one that does something.
+fn penalties() -> serde_json::Value {
+    let [least, most] = PENALTIES;
+    serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
@@ -215,8 +231,10 @@ pub struct Td3Config {
     /// Critic updates for each update of the actor and the targets.
     pub actor_every: u32,
     /// Standard deviation of the noise on target actions; 0 for none.
+    #[serde(deserialize_with = "single")]
     pub target_noise: f32,
     /// Cut of that noise.
+    #[serde(deserialize_with = "single")]
     pub target_noise_limit: f32,
 }
 
@@ -310,18 +328,6 @@ impl ConfigError {
     }
 }
 
-/// Most hidden layers.
-const MOST_LAYERS: usize = 16;
-
-/// Refuses a number that is not within its range.
-pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
-    if (low..=high).contains(&found) {
-        Ok(())
-    } else {
-        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
-    }
-}
-
 impl TrainingConfig {
     /// A committed preset.
     ///
@@ -361,71 +367,6 @@ impl TrainingConfig {
     /// [`ConfigError`] if a space cannot be found, read, or trained on.
     pub fn source(&self) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
         blend::source(&self.spaces)
-    }
-
-    /// Whether it can be trained with.
-    ///
-    /// # Errors
-    /// [`ConfigError::Range`] and [`ConfigError::Field`] name the first field that is wrong.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        if self.version != TRAINING_VERSION {
-            let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
-            return Err(ConfigError::Field { field: "version".to_owned(), problem });
-        }
-        within("episodes", self.episodes as f64, [1.0, 1e7])?;
-        within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
-        within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
-        within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
-        within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
-        within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
-        let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
-        terms.try_for_each(|(field, value, range)| within(&field, value, range))?;
-        self.environment.observation.check()?;
-        let mut departure = self.environment.departs_from.iter().flat_map(Departure::numbers);
-        departure
-            .try_for_each(|(name, value, range)| within(&format!("environment.departs_from.{name}"), value, range))?;
-        let layers = self.network.hidden.len();
-        if !(1..=MOST_LAYERS).contains(&layers) {
-            let problem = format!("must have 1 to {MOST_LAYERS} layers, found {layers}");
-            return Err(ConfigError::Field { field: "network.hidden".to_owned(), problem });
-        }
-        for (layer, &width) in self.network.hidden.iter().enumerate() {
-            within(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
-        }
-        within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
-        within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
-        within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
-        if let Some(fall) = &self.learning.rates_fall {
-            within("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
-            within("learning.rates_fall.to_share", fall.to_share, [0.0, 1.0])?;
-        }
-        within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
-        within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
-        within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
-        within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
-        within("learning.saturation_penalty", f64::from(self.learning.saturation_penalty), [0.0, 1e3])?;
-        within("learning.smoothness_penalty", f64::from(self.learning.smoothness_penalty), [0.0, 1e3])?;
-        within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
-        within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
-        within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
-        within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
-        within("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
-        if self.replay.capacity < self.learning.batch {
-            let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
-            return Err(ConfigError::Field { field: "replay.capacity".to_owned(), problem });
-        }
-        within("replay.contact_share", self.replay.contact_share, [0.0, 1.0])?;
-        within("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
-        within("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
-        within("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
-        within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
-        within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
-        within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
-        within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
-        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
-        within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
-        blend::check(&self.spaces)?;
-        super::memory::check(self)
     }
 }
 

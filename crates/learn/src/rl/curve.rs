@@ -28,6 +28,14 @@ pub fn episode_of(line: &str) -> Option<u64> {
     }
 }
 
+/// The episode after which a log line says how the actor was judged; none of other lines.
+pub(super) fn judged_after(line: &str) -> Option<u64> {
+    match serde_json::from_str(line).ok()? {
+        Line::Evaluation { episode, .. } => Some(episode),
+        Line::Episode { .. } => None,
+    }
+}
+
 /// Mean and standard deviation over trainings of the reward in evaluation. A training that has ended keeps its best.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]

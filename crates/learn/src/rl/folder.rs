@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
-use super::curve::episode_of;
+use super::curve::{episode_of, judged_after};
 use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
 use super::seeds::{Event, Observer, train};
 use super::trainer::{Trainer, TrainingError};
@@ -53,7 +53,7 @@ impl SeedResult {
 pub struct TrainingFolder<'a> {
     work: Work,
     config: &'a TrainingConfig,
-    trainer: Trainer,
+    pub(super) trainer: Trainer,
     log: String,
 }
 
@@ -82,10 +82,17 @@ impl<'a> TrainingFolder<'a> {
         };
         let before = work.read(LOG)?.unwrap_or_default();
         let is_done = |line: &&str| episode_of(line).is_some_and(|episode| episode <= trainer.episode());
+        // How it was judged because it was to end there: it is again, if it still is, and else a training without that end says nothing of it.
+        let is_of_the_end = |line: &&str| {
+            judged_after(line).is_some_and(|episode| episode > 0 && !trainer.is_judged_on_the_way(episode))
+        };
         // The log is written before the checkpoint: what it has beyond that is done again.
         let log = match trainer.episode() {
             0 => String::new(),
-            _ => String::from_utf8_lossy(&before).split_inclusive('\n').take_while(is_done).collect(),
+            _ => {
+                let before = String::from_utf8_lossy(&before);
+                before.split_inclusive('\n').take_while(is_done).filter(|line| !is_of_the_end(line)).collect()
+            }
         };
         Ok(Self { work, config, trainer, log })
     }
@@ -109,6 +116,7 @@ impl<'a> TrainingFolder<'a> {
         self.work.write(CONFIGURATION, configuration)?;
         let mut keeper = Keeper { work: &self.work, log: self.log, watch };
         let trained = train::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
+        let log = keeper.log;
         let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
             // What an untrained network does is no result of a training.
@@ -124,7 +132,13 @@ impl<'a> TrainingFolder<'a> {
             unseen_contacts: unseen_contacts(&policy, self.config.environment.estimator)?,
             policy_sha256: has_learned.then(|| policy.digest()),
         };
-        self.work.write(RESULT, serde_json::to_string_pretty(&result)? + "\n")?;
+        // The checkpoint is from before the training was judged at its end, where it was for that reason alone.
+        let mut changes = self.work.changes();
+        changes.write(LOG, log).write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
+        if has_learned {
+            changes.write(POLICY, policy.to_bytes()?);
+        }
+        changes.commit()?;
         self.work.finish()?;
         Ok(result)
     }

@@ -17,6 +17,7 @@ mod environment;
 mod evaluation;
 mod folder;
 mod learner;
+mod limits;
 mod memory;
 mod observation;
 #[cfg(any(test, feature = "oracle"))]
@@ -26,6 +27,7 @@ mod replay;
 mod reward;
 mod seeds;
 mod shard;
+mod single;
 mod source;
 mod trainer;
 mod useful;

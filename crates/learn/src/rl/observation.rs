@@ -12,6 +12,7 @@ use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
 /// they are scaled; the scaling is ours. A policy file carries it ([`ObservationScaling`]), so that the policy drives alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("if" = looks_at_intervals(), "then" = looks_back()))]
 #[non_exhaustive]
 pub struct ObservationConfig {
     /// Scaled numbers are cut to plus and minus this.
@@ -28,6 +29,15 @@ pub struct ObservationConfig {
     pub history_every: u32,
     /// What is seen.
     pub inputs: Inputs,
+}
+
+/// Of the schema: what says at which decisions it looks back must look back.
+fn looks_at_intervals() -> serde_json::Value {
+    serde_json::json!({ "required": ["history_every"], "properties": { "history_every": { "minimum": 2 } } })
+}
+
+fn looks_back() -> serde_json::Value {
+    serde_json::json!({ "required": ["history"], "properties": { "history": { "minimum": 2 } } })
 }
 
 fn one() -> u32 {
@@ -176,8 +186,13 @@ impl ObservationConfig {
         whole.into_iter().map(|(name, value, range)| (name.to_owned(), value, range)).chain(inputs)
     }
 
-    /// Refuses to see nothing.
+    /// Refuses to see nothing, and to look back at intervals where it does not look back.
     pub(super) fn check(&self) -> Result<(), ConfigError> {
+        if self.history_every > 1 && self.history == 1 {
+            let problem = "says how far apart decisions are that are looked back on, and without a `history` of 2 or more there are none";
+            let field = "environment.observation.history_every".to_owned();
+            return Err(ConfigError::Field { field, problem: problem.to_owned() });
+        }
         if self.inputs.in_order().iter().any(Option::is_some) {
             return Ok(());
         }

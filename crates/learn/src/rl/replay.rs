@@ -173,12 +173,24 @@ impl Replay {
                 }
                 oldest.iter_mut().zip(numbers).for_each(|(of_oldest, number)| *of_oldest = number);
             }
-            None => self.data.extend(numbers),
+            None => {
+                self.make_room();
+                self.data.extend(numbers);
+            }
         }
         if transition.contact {
             self.contacts.push_back(place as u32);
         }
         self.stored += 1;
+    }
+
+    /// Room for all that it will ever hold, so that it never has to move to a larger place, and is held twice meanwhile. Where there is none, it
+    /// grows as it may.
+    fn make_room(&mut self) {
+        if self.data.len() == self.data.capacity() {
+            let missing = self.capacity.saturating_mul(self.width).saturating_sub(self.data.len());
+            let _ = self.data.try_reserve_exact(missing);
+        }
     }
 
     /// Draws `count` transitions with replacement: `contact_share` of them among those that ended in contact, if there
@@ -195,8 +207,7 @@ impl Replay {
             } else {
                 stream.random_range(0..self.len())
             };
-            let row = &self.data[place * self.width..(place + 1) * self.width];
-            if let Some(transition) = Transition::from_numbers(row, self.remembered.state) {
+            if let Some(transition) = self.at(place) {
                 batch.push(&transition);
             }
         }
@@ -204,24 +215,27 @@ impl Replay {
 
     /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
     #[must_use]
-    pub fn to_numbers(&self) -> (u64, Vec<f32>) {
-        (self.stored, self.data.clone())
+    pub fn as_numbers(&self) -> (u64, &[f32]) {
+        (self.stored, &self.data)
     }
 
-    /// The memory that [`Replay::to_numbers`] wrote; none if the numbers do not fit each other.
+    /// The memory of which [`Replay::as_numbers`] tells; none if the numbers do not fit each other.
     #[must_use]
-    pub fn from_numbers(capacity: usize, remembered: Remembered, stored: u64, numbers: &[f32]) -> Option<Self> {
-        let mut replay = Self { stored, data: numbers.to_vec(), ..Self::new(capacity, remembered) };
-        if !numbers.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
+    pub fn from_numbers(capacity: usize, remembered: Remembered, stored: u64, numbers: Vec<f32>) -> Option<Self> {
+        let mut replay = Self { stored, data: numbers, ..Self::new(capacity, remembered) };
+        if !replay.data.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
             return None;
         }
-        let is_contact =
-            |row| Transition::from_numbers(row, remembered.state).is_some_and(|transition| transition.contact);
-        let is_contact: Vec<bool> = numbers.chunks_exact(replay.width).map(is_contact).collect();
         let oldest = if replay.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
         let places = (oldest..replay.len()).chain(0..oldest);
-        replay.contacts = places.filter(|&place| is_contact[place]).map(|place| place as u32).collect();
+        let is_contact = |&place: &usize| replay.at(place).is_some_and(|transition| transition.contact);
+        replay.contacts = places.filter(is_contact).map(|place| place as u32).collect();
         Some(replay)
+    }
+
+    fn at(&self, place: usize) -> Option<Transition<'_>> {
+        let row = self.data.get(place * self.width..(place + 1) * self.width)?;
+        Transition::from_numbers(row, self.remembered.state)
     }
 }
 
@@ -261,8 +275,10 @@ mod tests {
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());
             let contacts: Vec<usize> = replay.contacts.iter().map(|&p| reward(p as usize)).collect();
             prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
-            let (stored, numbers) = replay.to_numbers();
-            prop_assert_eq!(Replay::from_numbers(capacity, REMEMBERED, stored, &numbers), Some(replay));
+            prop_assert_eq!(replay.data.capacity(), capacity * replay.width);
+            let (stored, numbers) = replay.as_numbers();
+            let numbers = numbers.to_vec();
+            prop_assert_eq!(Replay::from_numbers(capacity, REMEMBERED, stored, numbers), Some(replay));
         }
     }
 

@@ -34,7 +34,8 @@ pub trait Observer<E> {
     /// Whatever makes the training stop.
     fn event(&mut self, event: &Event) -> Result<(), E>;
 
-    /// Called between episodes where a checkpoint makes sense, and at the end.
+    /// Called between episodes where a checkpoint makes sense, and after the last one: before it is judged, where it is judged only because
+    /// it is the last.
     ///
     /// # Errors
     /// Whatever makes the training stop.
@@ -60,7 +61,7 @@ pub fn train<E: From<TrainingError>>(
     while !trainer.is_done() {
         let record = trainer.run_episode()?;
         observer.event(&Event::Episode(record))?;
-        if trainer.evaluation_is_due() {
+        if trainer.is_judged_on_the_way(trainer.episode()) {
             judge(trainer, held_out, observer)?;
         }
         let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
@@ -68,7 +69,12 @@ pub fn train<E: From<TrainingError>>(
             observer.checkpoint(trainer)?;
         }
     }
-    observer.checkpoint(trainer)
+    observer.checkpoint(trainer)?;
+    // A training that ends between two evaluations is judged there besides. A longer one is not, and goes on from before that.
+    if trainer.evaluation_is_due() && !trainer.is_judged_on_the_way(trainer.episode()) {
+        judge(trainer, held_out, observer)?;
+    }
+    Ok(())
 }
 
 fn judge<E: From<TrainingError>>(

@@ -25,6 +25,11 @@ pub trait ScenarioSource: Debug + Send + Sync {
         1.0
     }
 
+    /// How many times they count at most, and once at least.
+    fn most_costs_times(&self) -> f64 {
+        1.0
+    }
+
     /// What tells this source from every other: a training is resumed only with the source that it began with, and a policy
     /// file states it. None for the paper's distribution, which needs no mention.
     ///
@@ -93,6 +98,10 @@ impl ScenarioSource for Blend {
         self.turn(seed, index).costs_times(seed, index)
     }
 
+    fn most_costs_times(&self) -> f64 {
+        self.first.most_costs_times().max(self.otherwise.most_costs_times())
+    }
+
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
         let (first, otherwise) = (name(&self.first)?, name(&self.otherwise)?);
         Ok(Some(format!("a share of {} of {first}, otherwise {otherwise}", self.share)))
@@ -137,6 +146,10 @@ impl ScenarioSource for Mixed {
 
     fn costs_times(&self, seed: u64, index: u64) -> f64 {
         self.case(seed, index).map_or_else(|| self.otherwise.costs_times(seed, index), |_| 1.0)
+    }
+
+    fn most_costs_times(&self) -> f64 {
+        self.otherwise.most_costs_times()
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {

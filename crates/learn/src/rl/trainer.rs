@@ -137,7 +137,7 @@ impl Trainer {
         Self::with_source(config, seed, Arc::new(PaperDraws))
     }
 
-    /// A training on scenarios from anywhere, at its start.
+    /// A training on scenarios from anywhere, at its start. Spaces that `config` names should be those of the source: policies state them.
     #[must_use]
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
@@ -200,9 +200,13 @@ impl Trainer {
     /// Whether an evaluation is due after the episode just done.
     #[must_use]
     pub fn evaluation_is_due(&self) -> bool {
-        self.episode.is_multiple_of(self.config.evaluation.every_episodes)
-            && self.episode > self.config.exploration.random_episodes
-            || self.episode == self.config.episodes
+        self.is_judged_on_the_way(self.episode) || self.episode == self.config.episodes
+    }
+
+    /// Whether an evaluation is due after an episode, however many come after it.
+    pub(super) fn is_judged_on_the_way(&self, episode: u64) -> bool {
+        episode.is_multiple_of(self.config.evaluation.every_episodes)
+            && episode > self.config.exploration.random_episodes
     }
 
     /// Drives and learns from one episode.
@@ -313,8 +317,7 @@ impl Trainer {
             TimeLimit::Truncation => discounted,
             TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
         };
-        let most_times = self.config.spaces.iter().fold(1.0, |most: f64, share| most.max(share.costs_times));
-        let most_cost = (most_times * environment.costs.largest()).max(1.0);
+        let most_cost = (self.source.most_costs_times() * environment.costs.largest()).max(1.0);
         let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.

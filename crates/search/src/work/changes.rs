@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -18,7 +19,8 @@ pub struct Changes<'a> {
 }
 
 enum Change {
-    Write(Vec<u8>),
+    /// Shared where it is written twice: what is kept may be most of the memory.
+    Write(Arc<Vec<u8>>),
     /// It becomes a second name of what another file is before the changes.
     Keep {
         of: String,
@@ -36,21 +38,21 @@ impl<'a> Changes<'a> {
 
     /// A file, whole or not at all. What is there with the same contents is left alone.
     pub fn write(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
-        self.changes.push((name.to_owned(), Change::Write(contents.into())));
+        self.changes.push((name.to_owned(), Change::Write(Arc::new(contents.into()))));
         self
     }
 
     /// A file that nothing but the work itself could make again: what it replaces is kept until the work is finished, and if that is
     /// nothing or the same, it is kept twice.
     pub fn advance(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
-        let (before, contents) = (generation::before(name), contents.into());
+        let (before, contents) = (generation::before(name), Arc::new(contents.into()));
         let state = self.work.locked().state(name).cloned();
         let kept = match state.filter(|state| *state != FileState::of(&contents)) {
             Some(state) => Change::Keep { of: name.to_owned(), state },
-            None => Change::Write(contents.clone()),
+            None => Change::Write(Arc::clone(&contents)),
         };
-        self.changes.push((before, kept));
-        self.write(name, contents)
+        self.changes.extend([(before, kept), (name.to_owned(), Change::Write(contents))]);
+        self
     }
 
     /// A file goes, if it is there.

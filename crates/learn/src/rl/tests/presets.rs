@@ -52,8 +52,8 @@ fn whatever_is_spoiled_is_named_with_its_line() {
         for (field, at) in values(text) {
             let is_number = text[at.clone()].parse::<f64>().is_ok();
             let spoils: &[&str] = match &*field {
-                // Any text will do, or any that names a space.
-                "name" => &["3", "true", "[]"],
+                // Any text that says something will do, or any that names a space.
+                "name" => &["3", "true", "[]", "\"\"", "\" \""],
                 field if field.ends_with("].space") => &["3", "true", "[]"],
                 _ if is_number => {
                     &["-1e30", "1e39", "nan", "-inf", "\"much\"", "true", "[]", "{ is = 1 }", "9000000000000000000"]
@@ -134,6 +134,7 @@ fn a_table_that_is_missing_is_named() {
 fn what_contradicts_itself_is_named() {
     let fast = PRESETS[0].1;
     let road = PRESETS[3].1;
+    let all = include_str!("every-field.toml");
     let without_inputs = |line: &&str| !line.contains("{ offset");
     let nothing_seen = fast.lines().filter(without_inputs).collect::<Vec<_>>().join("\n");
     for (text, from, to, expected) in [
@@ -153,6 +154,43 @@ fn what_contradicts_itself_is_named() {
             "actor_rate = 1e-4",
             "actor_rate = 1.3000000001",
             "learning.actor_rate: must be between 0 and 1, found 1.3000000001",
+        ),
+        // What would be taken for 0, or for nothing, without a word.
+        (
+            fast,
+            "actor_rate = 1e-4",
+            "actor_rate = 1e-50",
+            "learning.actor_rate: 1e-50 is so small that it would count as 0",
+        ),
+        (
+            all,
+            "smoothness_penalty = 10.0",
+            "smoothness_penalty = 1e-50",
+            "learning.smoothness_penalty: 1e-50 is so small that it would count as 0",
+        ),
+        (
+            all,
+            "smoothness_penalty = 10.0",
+            "smoothness_penalty = 1e-20",
+            "learning.smoothness_penalty: must be 0, for none, or",
+        ),
+        (
+            fast,
+            "saturation_penalty = 1",
+            "saturation_penalty = 1e-7 # 1",
+            "learning.saturation_penalty: must be 0, for none, or",
+        ),
+        (
+            road,
+            "limit = 6.0",
+            "history_every = 5\nlimit = 6.0",
+            "environment.observation.history_every: says how far apart",
+        ),
+        (
+            all,
+            "rates_fall = { until_episode = 1000",
+            "rates_fall = { until_episode = 200",
+            "learning.rates_fall.until_episode: must be more than exploration.random_episodes",
         ),
         (road, "space = \"high-risk\"", "space = \"traffic\"", "spaces[1].space: `traffic` is named twice"),
         (

@@ -180,6 +180,29 @@ fn divergence_stops_with_a_message() {
     }
 }
 
+/// What values are too large follows the costs of what is drawn from, and not of spaces that a configuration only names.
+#[test]
+fn divergence_is_judged_by_what_is_trained_on() {
+    let mut config = small();
+    config.environment.costs = TrainingConfig::preset("road").unwrap().environment.costs;
+    config.environment.costs.departure = 1.0;
+    config.spaces = vec![SpaceShare { space: "traffic".to_owned(), weight: 1.0, costs_times: 500.0 }];
+    let largest = |source: Arc<dyn ScenarioSource>| {
+        let mut trainer = Trainer::with_source(&config, 1, source);
+        trainer.learner.critics[0].network.parameters_mut().fill(f32::NAN);
+        match (0..12).find_map(|_| trainer.run_episode().err()) {
+            Some(TrainingError::Diverged { largest_value, .. }) => largest_value,
+            other => panic!("{other:?}"),
+        }
+    };
+    let spaces = config.source().unwrap();
+    let (of_paper, of_spaces) = (largest(Arc::new(PaperDraws)), largest(Arc::clone(&spaces)));
+    assert!((of_spaces / of_paper - 500.0).abs() < 1e-6, "{of_paper} {of_spaces}");
+    // However they are mixed.
+    let mixed = Mixed::new(Vec::new(), 0.5, Arc::new(Blend::new(Arc::new(PaperDraws), 0.5, spaces)));
+    assert_eq!(largest(Arc::new(mixed)), of_spaces);
+}
+
 #[test]
 fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     use crumple_world::observation::EstimatorKind;

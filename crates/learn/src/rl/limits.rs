@@ -1,0 +1,109 @@
+//! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
+
+use super::blend;
+use super::config::{ConfigError, TRAINING_VERSION, TrainingConfig};
+use crumple_world::policy::Departure;
+
+/// Most hidden layers.
+const MOST_LAYERS: usize = 16;
+
+/// Refuses a number that is not within its range.
+pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
+    if (low..=high).contains(&found) {
+        Ok(())
+    } else {
+        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
+    }
+}
+
+/// Weights of a penalty that is not 0. What is less is lost in the rounding of what it is added to, and somebody may have meant it to do
+/// something.
+pub(super) const PENALTIES: [f64; 2] = [1e-6, 1e3];
+
+fn penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
+    let (weight, [least, most]) = (f64::from(weight), PENALTIES);
+    // As somebody wrote it, the least in single precision is no less.
+    if 0.0 < weight && weight < f64::from(least as f32) {
+        let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
+        return Err(ConfigError::Field { field: field.to_owned(), problem });
+    }
+    within(field, weight, [0.0, most])
+}
+
+impl TrainingConfig {
+    /// Whether it can be trained with.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] and [`ConfigError::Field`] name the first field that is wrong.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        if self.version != TRAINING_VERSION {
+            let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
+            return Err(ConfigError::Field { field: "version".to_owned(), problem });
+        }
+        if self.name.trim().is_empty() {
+            return Err(ConfigError::Field { field: "name".to_owned(), problem: "must say something".to_owned() });
+        }
+        within("episodes", self.episodes as f64, [1.0, 1e7])?;
+        within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
+        within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
+        within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
+        within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
+        within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
+        let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
+        terms.try_for_each(|(field, value, range)| within(&field, value, range))?;
+        self.environment.observation.check()?;
+        let mut departure = self.environment.departs_from.iter().flat_map(Departure::numbers);
+        departure
+            .try_for_each(|(name, value, range)| within(&format!("environment.departs_from.{name}"), value, range))?;
+        let layers = self.network.hidden.len();
+        if !(1..=MOST_LAYERS).contains(&layers) {
+            let problem = format!("must have 1 to {MOST_LAYERS} layers, found {layers}");
+            return Err(ConfigError::Field { field: "network.hidden".to_owned(), problem });
+        }
+        for (layer, &width) in self.network.hidden.iter().enumerate() {
+            within(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
+        }
+        within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
+        within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
+        within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
+        if let Some(fall) = &self.learning.rates_fall {
+            within("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
+            within("learning.rates_fall.to_share", fall.to_share, [0.0, 1.0])?;
+        }
+        within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
+        within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
+        within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
+        within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
+        penalty("learning.saturation_penalty", self.learning.saturation_penalty)?;
+        penalty("learning.smoothness_penalty", self.learning.smoothness_penalty)?;
+        within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
+        let random = self.exploration.random_episodes;
+        if let Some(fall) = self.learning.rates_fall.as_ref().filter(|fall| fall.until_episode <= random) {
+            let problem = format!(
+                "must be more than exploration.random_episodes, after which learning begins: more than {random}, found {}",
+                fall.until_episode
+            );
+            return Err(ConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
+        }
+        within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
+        within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
+        within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
+        within("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
+        if self.replay.capacity < self.learning.batch {
+            let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
+            return Err(ConfigError::Field { field: "replay.capacity".to_owned(), problem });
+        }
+        within("replay.contact_share", self.replay.contact_share, [0.0, 1.0])?;
+        within("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
+        within("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
+        within("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
+        within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
+        within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
+        within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
+        within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
+        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
+        within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
+        blend::check(&self.spaces)?;
+        super::memory::check(self)
+    }
+}
