@@ -43,6 +43,9 @@ fn rate_of(assessment: &Assessment, place: usize) -> &Strength {
     &row.standings[place].strength
 }
 
+const RUNS: u64 = 1500;
+
+/// What a count of so many runs comes to.
 fn counted(
     controller: &str,
     against: Option<&str>,
@@ -56,12 +59,12 @@ fn counted(
         space: space.clone(),
         seed: 9,
         estimator,
-        runs: 3000,
+        runs: RUNS,
         confidence: 0.999,
     };
     let plan = RatePlan::new(config).expect("valid");
     let mut tally = plan.tally();
-    while tally.runs < 3000 {
+    while tally.runs < RUNS {
         plan.count_block(&mut tally).expect("runs");
     }
     plan.certificate(&tally)
@@ -453,7 +456,7 @@ fn a_recording_is_assessed_as_its_episodes() {
 fn damaged_evidence_is_gathered_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut asked = config(&["baseline", "policy"]);
-    asked.search.spaces = Some(vec!["high-risk".to_owned()]);
+    asked.search.spaces = Some(vec!["paper".to_owned()]);
     (asked.paper, asked.draws, asked.search.budget, asked.rates.runs) = (false, 4, 5, 60);
     let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
     let kept = folder.path().join("evidence");

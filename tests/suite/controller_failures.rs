@@ -214,6 +214,7 @@ fn an_assessment_says_who_failed_and_when() {
     config.gates.clear();
     (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);
     (config.search.spaces, config.certificates) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
+    config.distributions = Some(vec!["paper".to_owned()]);
     let own = [Failing::at(100, Ok(f64::NAN)).named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();

@@ -490,7 +490,7 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
         fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
     }
     let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\ndraws = 20\n\
-                  search = { spaces = [\"paper\"], budget = 20 }\n";
+                  distributions = [\"paper\"]\nsearch = { spaces = [\"paper\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
     assert_eq!(code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));

@@ -222,7 +222,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
 fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
     let road = Policy::load(&corpus("../policy/road.safetensors")).unwrap();
     let mut compared = Compared::default();
-    for seed in 0..60 {
+    for seed in 0..32 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let (mut header, mut network) = (road.header().clone(), road.network().clone());
         if seed % 4 > 0 {
@@ -249,7 +249,7 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
     }
     println!("{compared:?}");
     let Compared { verified, falsified, numbers } = compared;
-    assert!(verified > 10 && falsified > 0 && numbers > 50_000, "{verified} {falsified} {numbers}");
+    assert!(verified > 5 && falsified > 0 && numbers > 25_000, "{verified} {falsified} {numbers}");
 }
 
 /// Of the reference policy it is the same whichever file it came in: only its last tanh is done a step earlier.

@@ -179,20 +179,27 @@ fn presets_that_cannot_be_used_are_named() {
     let at = line_of("space = \"paper\"");
     let no_space = format!("error: no-space.toml:{at}: spaces[2].space: `nowhere` is neither a built-in space");
     let no_file = format!("error: no-file.toml:{at}: spaces[2].space: nowhere.toml: ");
-    let of_any = [
+    let of_both = [
         ("folder", "error: folder: "),
         ("folder.toml", "error: folder.toml: "),
         ("empty", "error: empty:1: missing field `version`"),
         ("empty.toml", "error: empty.toml:1: missing field `version`"),
         ("bytes.toml", "error: bytes.toml:2: is not UTF-8 text from here on"),
         ("missing.toml", "error: missing.toml: "),
-        ("slow", "error: there is no preset `slow`, and no such file; there are fast, "),
-        ("", "error: there is no preset ``, and no such file; there are fast, "),
+        ("no-space.toml", &*no_space),
+        ("no-file.toml", &*no_file),
+        ("", "error: --preset: none is named"),
     ];
-    // A retraining draws from none of a preset's spaces.
-    let of_training = [("no-space.toml", &*no_space), ("no-file.toml", &*no_file)];
-    let cases = of_any.iter().flat_map(|case| [("train", *case), ("retrain", *case)]);
-    for (command, (preset, expected)) in cases.chain(of_training.map(|case| ("train", case))) {
+    let of_one = [
+        ("train", ("slow", "error: there is no preset `slow`, and no such file; there are fast, ")),
+        (
+            "train",
+            ("retrain", "error: there is no preset `retrain`, and no such file: it is the preset of `crumple retrain`"),
+        ),
+        ("retrain", ("slow", "error: there is no preset `slow`, and no such file; there are retrain, fast, ")),
+    ];
+    let cases = of_both.iter().flat_map(|case| [("train", *case), ("retrain", *case)]);
+    for (command, (preset, expected)) in cases.chain(of_one) {
         let first = first_line(folder.path(), &[command, "--preset", preset, "--out", "out"], 2);
         assert!(first.starts_with(expected), "{command} {preset}: {first}");
         assert!(!folder.path().join("out").exists(), "{command} {preset}: nothing written");

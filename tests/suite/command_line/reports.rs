@@ -64,14 +64,15 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
 #[test]
 fn gates_decide_and_evidence_is_kept() {
     let folder = folder();
-    let config = |gates: &str| {
+    let config = |paper: bool, gates: &str| {
         let text = format!(
             "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\n\
+             paper = {paper}\ndistributions = [\"paper\"]\n\
              search = {{ spaces = [\"paper\"], budget = 5 }}\ncertificates = []\n{gates}"
         );
         fs::write(folder.path().join("a.toml"), text).unwrap();
     };
-    config("");
+    config(false, "");
     let first = crumple(folder.path(), &["assess", "a.toml", "--out", "one"]);
     assert_eq!(code(&first), 0, "{first:?}");
     let mut child = command(folder.path(), &["assess", "a.toml", "--out", "two"]).spawn().unwrap();
@@ -102,11 +103,11 @@ fn gates_decide_and_evidence_is_kept() {
     let looked = crumple(folder.path(), &["fsck", "one", "none", "two"]);
     assert_eq!(stderr(&looked), "gate: damaged: one; could not be looked at: none\n");
 
-    config("[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
+    config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
     let failed = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     assert_eq!(code(&failed), 1, "{failed:?}");
     assert!(stderr(&failed).contains("gate: baseline: no contact in the paper's scenarios (it collides in paper-1"));
-    config("[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
+    config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
     assert_eq!(code(&crumple(folder.path(), &["assess", "a.toml", "--out", "two"])), 0);
 }
 

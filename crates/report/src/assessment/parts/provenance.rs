@@ -110,7 +110,7 @@ impl Made {
 /// What may be believed of evidence from an earlier run.
 const KEPT: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
     inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
-    hashes anew. What the checker says of the certificates listed here was said in this run. `crumple assess --fresh` gathers everything again.";
+    hashes anew. What the checker says of the certificates listed here was said in this run. With `--fresh` everything is gathered again.";
 
 impl Part for Provenance {
     fn heading(&self) -> (&'static str, String) {
