@@ -206,3 +206,57 @@ fn delays_add_up() {
     assert!(frames.iter().all(|other| *other == frames[0]), "{frames:?}");
     assert_eq!((frames[0].delay_steps, frames[0].behind.map(|behind| behind.reaction_s)), (40, Some(0.4)));
 }
+
+/// What is taken for granted is what the scenario says, by hand: brakes on this road with six deviations of noise, ranges of accelerations that may mislead a
+/// filter, the actuator's lag.
+#[test]
+fn what_is_taken_for_granted_is_what_the_scenario_says() {
+    let scenario = |changed: &dyn Fn(&mut ScenarioSpec)| {
+        let edited = built_in("paper-1").unwrap().edited(|spec| {
+            spec.environment.friction = 0.5;
+            for (vehicle, noise_mps2) in spec.vehicles.iter_mut().zip([0.02, 0.03, 0.0]) {
+                vehicle.acceleration_noise_mps2 = noise_mps2;
+                (vehicle.max_brake_mps2, vehicle.max_accel_mps2) = (Some(7.0), Some(2.5));
+            }
+            spec.vehicles[1].max_brake_mps2 = Some(6.0);
+            spec.vehicles[1].actuator_lag_s = 0.2;
+            changed(spec);
+        });
+        edited.unwrap()
+    };
+    let asked = |scenario: &Scenario, eyes: EstimatorKind| {
+        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(eyes);
+        let run = Run::new(scenario, options).unwrap();
+        (run.frame(1, &ShieldSettings::default()), run.tuning().worst_errors([3.0 + 2.5 + 0.36, 3.62 + 2.62], 6.0))
+    };
+    let is_near = |found: f64, expected: f64| (found - expected).abs() < 1e-12;
+    let slow = scenario(&|_| ());
+    let (frame, errors) = asked(&slow, EstimatorKind::Kalman);
+    let frame = frame.unwrap();
+    assert!(is_near(frame.brake_mps2, 3.0) && is_near(frame.noise_mps2, 0.18) && is_near(frame.ahead_brake_mps2, 3.62));
+    let found = [frame.errors.gap_m, frame.errors.speed_mps, frame.errors.ahead_speed_mps];
+    assert!(found.iter().zip(errors).all(|(&found, expected)| is_near(found, expected)), "{found:?} {errors:?}");
+    assert!(is_near(frame.share, 1.0 - (-0.01_f64 / 0.2).exp()), "{}", frame.share);
+    let prompt = scenario(&|spec| spec.vehicles[1].actuator_lag_s = 0.0);
+    let (frame, _) = asked(&prompt, EstimatorKind::Truth);
+    assert_eq!(
+        (frame.unwrap().share, asked(&slow, EstimatorKind::Truth).0.unwrap().errors),
+        (1.0, ErrorBounds::default())
+    );
+    let blind = scenario(&|spec| spec.sensors.dropout = 0.1);
+    assert_eq!(asked(&blind, EstimatorKind::Kalman).0, Err(ShieldRefusal::Dropout));
+    assert!(asked(&blind, EstimatorKind::Truth).0.is_ok());
+}
+
+/// A shield of who never brakes by itself takes over once and keeps to it: from a step of the run on, to its end.
+#[test]
+fn what_it_did_is_told_in_the_seconds_of_the_run() {
+    let far = FarAway { onset_s: 1.0, ..FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]) };
+    let far = FarAway { step_s: 0.01, ..far };
+    let done = far.simulated().interventions;
+    let end_s = far.scenario().spec().duration_s;
+    let (Some(first), Some(last)) = (done.first(), done.last()) else { panic!("nothing was done") };
+    assert!(first.vehicle == 1 && first.from_s > 0.5 && first.from_s < end_s, "{first:?}");
+    assert!((last.to_s - end_s).abs() < 1e-9, "{last:?}, which is to end at {end_s}");
+    assert!(done.iter().all(|one| one.from_s < one.to_s && !one.rear_conflict), "{done:?}");
+}
