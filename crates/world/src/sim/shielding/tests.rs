@@ -147,6 +147,27 @@ fn travel_bounds_what_happens() {
     }
 }
 
+/// With noise ahead, and where the one under test is farther from the origin than anybody will be.
+#[test]
+fn travel_counts_noise_and_both_ends_of_the_road() {
+    let far = FarAway { onset_s: 2.0, ..FarAway::reported(1.0, -1e4, [VehicleClass::Light; 2]) };
+    let scenario = far.scenario().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
+    let options = RunOptions::new(far.driver.clone()).with_estimator(EstimatorKind::Truth);
+    let run = Run::new(&scenario, options).unwrap();
+    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    let [ahead, own] = [&scenario.vehicles()[0], &scenario.vehicles()[1]];
+    let spare_m = ahead.length_m() + (100.0 + 60.0 * 2e-4) * 2e-4;
+    assert!((travel.position_m - (spare_m - own.position_m)).abs() < 1e-9, "{}", travel.position_m);
+    assert_eq!(travel.ahead_accel_mps2, ahead.max_accel_mps2() + 0.3);
+    // Where it is the one ahead that counts.
+    let near = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|vehicle| vehicle.position_m += 2e4)).unwrap();
+    let run = Run::new(&near, RunOptions::new(far.driver).with_estimator(EstimatorKind::Truth)).unwrap();
+    let travel = run.travel(0, &run.frame(1, &ShieldSettings::default()).unwrap());
+    let duration_s = near.spec().duration_s;
+    let farthest_m = 1e4 + (29.7 + 0.3 * duration_s) * duration_s + spare_m;
+    assert!((travel.position_m - farthest_m).abs() < 1e-9, "{} {farthest_m}", travel.position_m);
+}
+
 /// What rounding may take of the speed ahead grows with what noise may add to it.
 #[test]
 fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
@@ -220,6 +241,7 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
             }
             spec.vehicles[1].max_brake_mps2 = Some(6.0);
             spec.vehicles[1].actuator_lag_s = 0.2;
+            (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.2, 0.1);
             changed(spec);
         });
         edited.unwrap()
@@ -234,6 +256,8 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
     let (frame, errors) = asked(&slow, EstimatorKind::Kalman);
     let frame = frame.unwrap();
     assert!(is_near(frame.brake_mps2, 3.0) && is_near(frame.noise_mps2, 0.18) && is_near(frame.ahead_brake_mps2, 3.62));
+    let behind = frame.behind.unwrap();
+    assert!(is_near(behind.brake_mps2, 3.5) && is_near(behind.reaction_s, 0.3), "{behind:?}");
     let found = [frame.errors.gap_m, frame.errors.speed_mps, frame.errors.ahead_speed_mps];
     assert!(found.iter().zip(errors).all(|(&found, expected)| is_near(found, expected)), "{found:?} {errors:?}");
     assert!(is_near(frame.share, 1.0 - (-0.01_f64 / 0.2).exp()), "{}", frame.share);
