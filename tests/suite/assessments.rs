@@ -43,9 +43,9 @@ fn rate_of(assessment: &Assessment, place: usize) -> &Strength {
     &row.standings[place].strength
 }
 
+/// Runs of every count here that certificates are made of.
 const RUNS: u64 = 1500;
 
-/// What a count of so many runs comes to.
 fn counted(
     controller: &str,
     against: Option<&str>,

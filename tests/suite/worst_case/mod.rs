@@ -177,7 +177,7 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
 /// Whoever survives an unavoidable scenario, or keeps more than the bound, refutes it.
 #[test]
 fn no_controller_contradicts_a_verdict() {
-    let count: u64 = 60 * u64::from(crate::generate::cases(256).cases) / 256;
+    let count: u64 = 100 * u64::from(crate::generate::cases(256).cases) / 256;
     let (mut undecided, mut avoidable, mut unavoidable, mut programs) = (Vec::new(), 0, 0, 0);
     for seed in 0..count {
         let scenario = random(seed);
@@ -213,7 +213,7 @@ fn no_controller_contradicts_a_verdict() {
     println!("{avoidable} avoidable, {unavoidable} unavoidable, {programs} programs, undecided: {undecided:?}");
     assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
     // The multipliers of one program have to say much about the others.
-    assert!(programs as u64 <= 27 * count, "{programs} programs for {count} scenes");
+    assert!(programs as u64 <= 25 * count, "{programs} programs for {count} scenes");
     assert!(avoidable * 5 > count && unavoidable * 20 > count, "{avoidable} and {unavoidable}: nothing to tell apart");
 }
 

@@ -109,14 +109,14 @@ fn known() -> [(&'static str, Known, f64); 4] {
 /// and over the seeds the mean is right to a tenth: nothing is biased.
 #[test]
 fn known_probabilities_below_a_millionth_are_found() {
-    const SEEDS: u64 = 16;
+    const SEEDS: u64 = 24;
     for problem in known() {
         assert!(problem.2 < 1e-6);
         let (ratios, held, most) = found(RareMethod::Splitting, &problem, SEEDS);
         let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
         assert!(ratios.iter().all(|ratio| (0.5..2.0).contains(ratio)), "{name}: {ratios:?}");
         assert!((mean - 1.0).abs() < 0.1, "{name}: {mean}");
-        assert!(held >= 13, "{name}: {held} of {SEEDS}");
+        assert!(held >= 20, "{name}: {held} of {SEEDS}");
         assert!(most < 600_000, "{name}: {most}");
     }
 }
@@ -126,7 +126,7 @@ fn known_probabilities_below_a_millionth_are_found() {
 /// coefficient of variation of 27 for each draw, and intervals hold less often than they say.
 #[test]
 fn known_probabilities_are_found_by_weighted_draws() {
-    const SEEDS: u64 = 16;
+    const SEEDS: u64 = 24;
     let more = [
         ("corner", Known { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
         ("thirty numbers", Known { dimension: 30, margin: linear }, upper_tail(5.0)),
@@ -135,7 +135,7 @@ fn known_probabilities_are_found_by_weighted_draws() {
     for problem in known().into_iter().chain(more) {
         let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
         let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
-        let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 12) } else { (1.25, 0.03, 13) };
+        let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
         assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
         assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
         assert!(held >= least, "{name}: {held} of {SEEDS}");

@@ -275,8 +275,7 @@ fn what_is_taken_for_granted_is_what_the_scenario_says() {
 /// A shield of who never brakes by itself takes over once and keeps to it: from a step of the run on, to its end.
 #[test]
 fn what_it_did_is_told_in_the_seconds_of_the_run() {
-    let far = FarAway { onset_s: 1.0, ..FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]) };
-    let far = FarAway { step_s: 0.01, ..far };
+    let far = FarAway { onset_s: 1.0, step_s: 0.01, ..FarAway::reported(1.0, 0.0, [VehicleClass::Light; 2]) };
     let done = far.simulated().interventions;
     let end_s = far.scenario().spec().duration_s;
     let (Some(first), Some(last)) = (done.first(), done.last()) else { panic!("nothing was done") };
