@@ -1,20 +1,23 @@
-//! `crumple describe`: what a file of a network says of itself, as a controller file to begin with.
+//! `crumple describe`: what the file of a controller from outside says of itself. Starts no program and loads no library.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
 
 use super::simulate::Format;
-use super::{Failure, output, own_file, subject};
+use super::{Failure, describe_fmu, output, own_file};
 use crumple_world::control::{Mapping, Quantity};
 use crumple_world::network::{
     FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace,
 };
+use crumple_world::sim::{NamedController, UnknownController};
 
-/// What a network from outside says of itself, as a controller file to begin with
+/// Describe the file of a network, as a controller file to begin with, or of an FMU
 #[derive(Args)]
 #[command(after_long_help = "\
+The command starts no program and loads no library, whatever the file is. Of an FMU it lists the variables of modelDescription.xml.
+
 Of a model of Stable-Baselines3 it tells the algorithm, the spaces of observations and actions, and whether it was trained behind \
 VecNormalize; of any network its layers. What is printed is a controller file that runs, with that as comments: which quantity each \
 input is, in which order and unit, no file says, so correct these before you believe a result. It names the network as you do here, from \
@@ -23,12 +26,13 @@ the folder in which the controller file lies.
 Examples:
   crumple describe ppo.zip
   crumple describe ppo.zip > ppo.toml
-  crumple describe acc.onnx --format json")]
+  crumple describe acc.onnx --format json
+  crumple describe acc.fmu")]
 pub(super) struct Describe {
-    /// The network: F.onnx, or F.zip of Stable-Baselines3
+    /// The network, F.onnx or F.zip of Stable-Baselines3, or the FMU, F.fmu
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// How to print: a controller file with comments, or one JSON object with it
+    /// How to print: for a reader (a network as a controller file with comments), or one JSON object
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
 }
@@ -75,13 +79,16 @@ const GUESSES: [Quantity; 6] = [
 impl Describe {
     pub(super) fn run(self) -> Result<(), Failure> {
         let place = &self.file;
+        if place.extension().is_some_and(|extension| extension == "fmu") {
+            return describe_fmu::describe(place, self.format);
+        }
         let network = NetworkFile::load(place).map_err(|error| self.not_a_network(&error))?;
         let statistics = network.saved_model().and_then(|_| Statistics::beside(place));
         let normalisation = match statistics.as_deref().map(Statistics::load) {
             Some(Statistics::OfObservations(normalisation)) => Some(normalisation),
             _ => None,
         };
-        let is_named = subject::find(&place.to_string_lossy()).is_ok();
+        let is_named = is_controller(place);
         let model = network.saved_model().map(|saved| Model {
             algorithm: saved.algorithm,
             version: saved.version.clone(),
@@ -118,12 +125,18 @@ impl Describe {
         let names_no_network = !NetworkFile::is_one(&self.file);
         match own_file::known(&self.file) {
             Some(what) => Failure::Input(format!("{place}: is no network from outside, but {what}")),
-            None if names_no_network && subject::find(&self.file.to_string_lossy()).is_ok() => Failure::Input(format!(
+            None if names_no_network && is_controller(&self.file) => Failure::Input(format!(
                 "{place}: is no network from outside, but a controller as it is: name it after --controller of other commands"
             )),
             None => Failure::input(error),
         }
     }
+}
+
+/// Returns true if the file drives as it is. A program counts, and is not started.
+fn is_controller(file: &Path) -> bool {
+    let found = NamedController::find(&file.to_string_lossy(), Path::new(""));
+    matches!(found, Ok(_) | Err(UnknownController::StartRefused(_)))
 }
 
 /// Bounds of single numbers; none where there is no bound.

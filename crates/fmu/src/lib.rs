@@ -3,16 +3,18 @@
 //! | module | what it holds |
 //! |---|---|
 //! | `archive` | the zip archive: its description, its library for this platform, and unpacking it |
+//! | `listing` | the description as text, a line for each variable |
 //! | `description` | `modelDescription.xml`: what the FMU is called, and its variables |
 //! | `host` (feature `host`) | the program: loads the library and answers crumple's questions by it |
 //!
-//! The first two run nothing of an FMU's. All of crumple's `unsafe` code is in `host`, which nothing but the program
+//! The first three run nothing of an FMU's. All of crumple's `unsafe` code is in `host`, which nothing but the program
 //! `crumple-fmu` calls: an FMU is native code of somebody else's, and what it breaks is that process.
 
 mod archive;
 mod description;
 #[cfg(feature = "host")]
 pub mod host;
+mod listing;
 
 pub use archive::{Fmu, FmuError};
 pub use description::{Causality, Description, FmiVersion, InvalidDescription, Kind, Variable};

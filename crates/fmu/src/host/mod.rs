@@ -19,7 +19,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::{Causality, Description, Fmu, Kind, Variable};
+use crate::Fmu;
 use instance::Wiring;
 
 /// Drives by an FMU for crumple, in a process of its own
@@ -69,7 +69,7 @@ fn parameter(text: &str) -> Result<(String, f64), String> {
 pub fn main() -> ExitCode {
     let (fmu, done) = match Arguments::parse().task {
         Task::Describe { fmu } => {
-            let described = Fmu::open(&fmu).map(|fmu| print!("{}", described(fmu.description())));
+            let described = Fmu::open(&fmu).map(|fmu| print!("{}", fmu.description()));
             (fmu, described.map_err(|error| error.to_string()))
         }
         Task::Drive { fmu, inputs, output, parameters, interval_s } => {
@@ -85,30 +85,4 @@ pub fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
-}
-
-/// What can be wired, a line a variable.
-fn described(description: &Description) -> String {
-    let Description { model_name, version, variables, .. } = description;
-    let edition = match version {
-        crate::FmiVersion::Two => "FMI 2.0",
-        crate::FmiVersion::Three => "FMI 3.0",
-    };
-    let line = |Variable { name, causality, kind, start, unit, description, .. }: &Variable| {
-        let causality = match causality {
-            Causality::Input => "input",
-            Causality::Output => "output",
-            Causality::Parameter => "parameter",
-        };
-        let kind = if *kind == Kind::Real { "" } else { kind.name() };
-        let parts = [
-            unit.clone(),
-            (!kind.is_empty()).then(|| kind.to_owned()),
-            start.as_ref().map(|start| format!("starts with {start}")),
-            description.clone(),
-        ];
-        let parts: Vec<String> = parts.into_iter().flatten().collect();
-        format!("{causality:9}  {name:32}  {}", parts.join("; ")).trim_end().to_owned() + "\n"
-    };
-    format!("{model_name}, {edition}, co-simulation\n{}", variables.iter().map(line).collect::<String>())
 }

@@ -1,0 +1,64 @@
+//! `crumple describe F.fmu`: the variables of an FMU, from its `modelDescription.xml` alone.
+
+use std::path::Path;
+
+use crumple_fmu::{Description, Fmu, Variable};
+use serde::Serialize;
+
+use super::simulate::Format;
+use super::{Failure, output};
+use crumple_world::quoted::Terminal;
+
+/// An FMU, for programs.
+#[derive(Serialize)]
+struct DescribedFmu<'a> {
+    file: String,
+    format: &'static str,
+    fmi_version: &'static str,
+    model_name: &'a str,
+    variables: Vec<DescribedVariable<'a>>,
+}
+
+/// A variable of an FMU, for programs.
+#[derive(Serialize)]
+struct DescribedVariable<'a> {
+    name: &'a str,
+    causality: &'static str,
+    kind: &'static str,
+    unit: Option<&'a str>,
+    start: Option<&'a str>,
+    description: Option<&'a str>,
+}
+
+/// Prints what an FMU can be wired to. Runs nothing of it.
+pub(super) fn describe(file: &Path, format: Format) -> Result<(), Failure> {
+    let fmu = Fmu::open(file).map_err(|error| Failure::Input(format!("{}: {error}", file.display())))?;
+    let description = fmu.description();
+    match format {
+        Format::Json => output::print_json(&DescribedFmu::new(file, description)),
+        Format::Text => {
+            let lines = description.to_string();
+            output::print(&lines.lines().map(|line| format!("{}\n", Terminal(line))).collect::<String>())
+        }
+    }
+}
+
+impl<'a> DescribedFmu<'a> {
+    fn new(file: &Path, description: &'a Description) -> Self {
+        let variable = |variable: &'a Variable| DescribedVariable {
+            name: &variable.name,
+            causality: variable.causality.name(),
+            kind: variable.kind.name(),
+            unit: variable.unit.as_deref(),
+            start: variable.start.as_deref(),
+            description: variable.description.as_deref(),
+        };
+        Self {
+            file: file.display().to_string(),
+            format: "fmu",
+            fmi_version: description.version.name(),
+            model_name: &description.model_name,
+            variables: description.variables.iter().map(variable).collect(),
+        }
+    }
+}
