@@ -39,7 +39,7 @@ fn controller(command: &str, folder: &Path) -> Option<NamedController> {
     let inputs: String = inputs.map(|name| format!("[[inputs]]\nquantity = \"{name}\"\n")).concat();
     let text = format!("version = 1\ncommand = [{command}]\n{inputs}");
     fs::write(folder.join("controller.toml"), text).expect("writable");
-    Some(NamedController::find("controller.toml", folder).expect("a controller file"))
+    Some(NamedController::find_for_user("controller.toml", folder).expect("a controller file"))
 }
 
 fn scenario() -> Scenario {

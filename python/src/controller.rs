@@ -72,11 +72,18 @@ impl Observation {
     }
 }
 
+/// Allows this process to start the programs and to load the FMUs that files name, as `--allow-external` does. Without it only
+/// controllers that a call names start. Cannot be undone.
+#[pyfunction]
+pub(crate) fn allow_external() {
+    crumple_world::control::allow_external();
+}
+
 /// A name as on the command line, or a `crumple.Controller`.
 pub(crate) fn named(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
-        return NamedController::find(&name, Path::new(""))
+        return NamedController::find_for_user(&name, Path::new(""))
             .map_err(|error| errors::raised(py, Class::Controller, &error));
     }
     let decide = controller.getattr("decide")?;

@@ -63,6 +63,10 @@ pub(crate) fn of_file(py: Python<'_>, class: Class, error: &FileError) -> PyErr 
         }
         _ => Place::default(),
     };
+    if error.is_start_refused() {
+        let words = format!("{error} (in Python: crumple.allow_external())");
+        return with_place(py, class, &words, &place);
+    }
     with_place(py, class, error, &place)
 }
 

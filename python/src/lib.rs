@@ -33,7 +33,7 @@ mod _crumple {
     #[pymodule_export]
     use crate::campaign::falsify;
     #[pymodule_export]
-    use crate::controller::Observation;
+    use crate::controller::{Observation, allow_external};
     #[pymodule_export]
     use crate::episodes::{Episodes, training_preset};
     #[pymodule_export]

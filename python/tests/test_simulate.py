@@ -246,3 +246,16 @@ def test_a_campaign_that_was_broken_off_goes_on_to_the_same_end(tmp_path):
         crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", progress=enough)
     assert max(told) < 600
     assert crumple.falsify("match-leader", budget=200, folder=tmp_path / "parts", resume=True).summary == whole.summary
+
+
+def test_a_scenario_starts_no_program_unless_that_is_allowed(tmp_path):
+    (tmp_path / "evil.sh").write_text(": > started\n")
+    (tmp_path / "evil.toml").write_text('version = 1\ncommand = ["sh", "evil.sh"]\nfiles = ["evil.sh"]\n')
+    scenario = tmp_path / "driven.toml"
+    text = crumple.scenario("paper-1").to_toml()
+    assert '"baseline"' in text
+    scenario.write_text(text.replace('"baseline"', '{ file = { path = "evil.toml" } }'))
+    with pytest.raises(crumple.ScenarioError, match="allow_external") as caught:
+        crumple.simulate(scenario)
+    assert caught.value.field == "vehicles[2].driver.file.path"
+    assert not (tmp_path / "started").exists()

@@ -272,11 +272,18 @@ fn link_between<'a>(out: &Path, path: &'a Path) -> Option<&'a Path> {
 fn commit(folder: &Path) -> Option<String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let git = |arguments: &[&str]| {
+        let arguments = ["-c", "core.fsmonitor=false"].iter().chain(arguments);
         let said = process::Command::new("git").arg("-C").arg(folder).args(arguments).output().ok()?;
         said.status.success().then(|| String::from_utf8_lossy(&said.stdout).trim().to_owned())
     };
-    let is_clean = git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();
-    Some(git(&["rev-parse", "HEAD"])? + if is_clean { "" } else { " with changes" })
+    let commit = git(&["rev-parse", "HEAD"])?;
+    // `git status` starts the filters that a repository names in its own configuration.
+    let names_programs = |scope| git(&["config", scope, "--get-regexp", r"^(filter|include|includeif)\."]).is_some();
+    if names_programs("--local") || names_programs("--worktree") {
+        return Some(commit + ", not compared with the files: the repository configures filters");
+    }
+    let is_clean = git(&["status", "--porcelain", "--untracked-files=no", "--ignore-submodules=all"])?.is_empty();
+    Some(commit + if is_clean { "" } else { " with changes" })
 }
 
 /// When and where.

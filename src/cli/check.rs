@@ -11,7 +11,8 @@ use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, ch
 use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
 use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
-use crumple_search::evidence::{Rerun, RerunError, Sample, bound, checker_file, lies_within};
+use crumple_search::evidence::{Rerun, RerunError, Sample, Unbound, bound, checker_file, lies_within};
+use crumple_world::control::NamedBy;
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
@@ -120,10 +121,14 @@ impl Check {
         let policy = self.policy_bytes(certificate, path)?;
         let limit = WorkLimit::billions(self.work_limit);
         let accepted = check_within(certificate, policy.as_deref(), limit).map_err(|rejection| rejection.to_string());
-        let accepted = accepted.and_then(|accepted| match bound(certificate, policy.as_deref()) {
-            Ok(()) => Ok(accepted),
-            Err(unbound) => Err(unbound.to_string()),
-        });
+        let accepted = match (accepted, bound(certificate, policy.as_deref())) {
+            // The text was not read, which says nothing against the certificate.
+            (Ok(_), Err(refused @ Unbound::StartRefused(_))) => {
+                return Err(Failure::Input(format!("{}: {refused}", path.display())));
+            }
+            (Ok(_), Err(unbound)) => Err(unbound.to_string()),
+            (accepted, _) => accepted,
+        };
         let counts = match (&accepted, self.rerun) {
             (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), Some(percent)) => {
                 Some(self.count_again(path, certificate, percent, quiet)?)
@@ -167,7 +172,7 @@ impl Check {
             if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
                 return Ok(Some(cruise::network(source)?.network_bytes().to_vec()));
             }
-            let read = FileController::load(source).map_err(|error| match error {
+            let read = FileController::load(source, NamedBy::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => Failure::Input(format!(
                     "{place}: is no controller by itself, so the network of the certificate came through a controller file: \
                      name that after --policy"

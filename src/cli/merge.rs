@@ -72,7 +72,7 @@ enum MergeFormat {
     Json,
     /// Of a suite: for a build server
     Junit,
-    /// Of a suite: a page, with the controllers that are found by their names drawn where they failed
+    /// Of a suite: a page, with drawings of failures of the controllers that are found here with the recorded identity
     Html,
 }
 

@@ -8,6 +8,7 @@ mod checked;
 mod choice;
 mod cruise;
 mod describe;
+mod describe_fmu;
 mod doctor;
 mod explore;
 mod export;
@@ -44,6 +45,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use crumple_world::control::allow_external;
 
 use failure::Failure;
 
@@ -63,6 +65,11 @@ struct Arguments {
     /// No progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
+    /// Also start programs and FMUs that files name: scenarios, spaces, suites, shards, campaigns, certificates. Without it crumple
+    /// starts only what this command line names, or a configuration or controller file on it
+    #[arg(long, global = true)]
+    #[expect(dead_code, reason = "`allows_external` reads it before clap reads values, some of which are files")]
+    allow_external: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -98,6 +105,10 @@ enum Command {
 /// Runs the command line with given arguments, the program's name first.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::limits_are_errors();
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    if allows_external(&arguments) {
+        allow_external();
+    }
     let arguments =
         match commands().try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found)) {
             Ok(arguments) => arguments,
@@ -147,6 +158,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             failure.exit_code()
         }
     }
+}
+
+/// Returns true if the arguments hold the option `--allow-external`.
+fn allows_external(arguments: &[OsString]) -> bool {
+    arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--allow-external")
 }
 
 /// All commands, as `--help` shows them.

@@ -26,7 +26,8 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
         )));
     }
     let scenario = file::load(path)?;
-    // Who drives in it is started once as well.
+    // Programs that drive in it start once now: a missing one is an error of the scenario. Loading has refused them unless
+    // --allow-external is given.
     for (index, vehicle) in scenario.vehicles().iter().enumerate() {
         if let Driver::File(driver) = &vehicle.driver
             && let Some(controller) = driver.controller()
@@ -65,8 +66,8 @@ pub(super) fn controller(name: &str) -> Result<NamedController, String> {
     Ok(found)
 }
 
-/// A built-in controller or the one in a file, started once where it has to be.
-pub(super) fn find(name: &str) -> Result<NamedController, String> {
+/// Finds the controller that an argument names, and starts its program once.
+fn find(name: &str) -> Result<NamedController, String> {
     NamedController::find_and_try(name, Path::new("")).map_err(|error| error.to_string())
 }
 

@@ -312,7 +312,16 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: 
         return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
     suite_folder::write(&result, folder, quiet)?;
-    output::print(&rendered(&result, &known(&result), Some(folder), format)?)
+    // Only a page drives again, for its drawings.
+    let drives = if let Format::Html = format { merged.controllers(Path::new("")).collect() } else { Vec::new() };
+    let mut controllers = Vec::new();
+    for found in drives {
+        match found {
+            Ok(controller) => controllers.push(controller),
+            Err(unavailable) => output::note(&format!("note: failures are not drawn: {unavailable}"), quiet),
+        }
+    }
+    output::print(&rendered(&result, &controllers, Some(folder), format)?)
 }
 
 /// What is missing of a suite, for programs.
@@ -326,15 +335,6 @@ struct Incomplete {
 
 /// Missing tests that are named.
 const MOST_SHOWN: usize = 20;
-
-/// The controllers of a run as far as they are found by what the run calls them: a page draws how they failed.
-fn known(result: &SuiteResult) -> Vec<NamedController> {
-    let mut names: Vec<&str> =
-        result.tests().flat_map(|(_, test)| &test.controllers).map(|tested| tested.controller.as_str()).collect();
-    names.sort_unstable();
-    names.dedup();
-    names.into_iter().filter_map(|name| NamedController::find(name, Path::new("")).ok()).collect()
-}
 
 fn rendered(
     result: &SuiteResult,

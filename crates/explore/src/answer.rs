@@ -154,10 +154,19 @@ impl Application {
         };
         self.offer.remember_drivers(&scenario);
         let name = look.controller();
-        let is_offered = self.offer.controllers.iter().any(|controller| controller.name == name);
-        let note = (!is_offered).then(|| {
-            format!("The campaign is about {}, which this was not started with: --controller", Terminal(name))
-        });
+        let offered = self.offer.controllers.iter().find(|controller| controller.name == name);
+        let is_offered = offered.is_some_and(|controller| look.is_about(controller));
+        let note = match offered {
+            None => Some(format!(
+                "The campaign is about {}, which is not available: start with --controller",
+                Terminal(name)
+            )),
+            Some(_) if !is_offered => Some(format!(
+                "The campaign is about {}, which is not available: the controller of this name has another identity",
+                Terminal(name)
+            )),
+            Some(_) => None,
+        };
         json(&Opened {
             scenario: scenario.spec(),
             sliders: Sliders::of(&scenario),

@@ -2,7 +2,18 @@
 
 from crumple._campaign import Campaign, Failure, falsify
 from crumple._controller import OBSERVATION, Controller
-from crumple._crumple import Assessment, Figure, Observation, Scenario, Simulation, Space, Trace, Track, training_preset
+from crumple._crumple import (
+    Assessment,
+    Figure,
+    Observation,
+    Scenario,
+    Simulation,
+    Space,
+    Trace,
+    Track,
+    allow_external,
+    training_preset,
+)
 from crumple._evidence import Rate, WorstCase, assess, rate, worst_case, write_report
 from crumple._monitor import monitor
 from crumple._registration import register_environments
@@ -45,6 +56,7 @@ __all__ = [
     "Track",
     "TrainingError",
     "WorstCase",
+    "allow_external",
     "assess",
     "falsify",
     "monitor",

@@ -22,6 +22,7 @@ __all__ = [
     "monitor",
     "rate",
     "simulate",
+    "allow_external",
     "training_preset",
     "worst_case",
 ]
@@ -177,6 +178,7 @@ class Episodes:
     def positions(self, lane: int) -> tuple[list[float], list[float]] | None: ...
     def __len__(self) -> int: ...
 
+def allow_external() -> None: ...
 def training_preset(name: str) -> str: ...
 def monitor(
     formula: str,

@@ -9,6 +9,7 @@ use crate::cli::{Failure, output};
 use crumple_search::evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::campaign::Campaign;
 use crumple_search::shard::Shard;
+use crumple_world::control::is_external_allowed;
 use crumple_world::measure::Specification;
 
 /// What is planned, as it stands in `plan.json`.
@@ -142,6 +143,9 @@ impl Plan {
     /// The words that every command has.
     fn words(&self, command: &[&str]) -> Vec<String> {
         let mut words: Vec<String> = command.iter().map(|word| (*word).to_owned()).collect();
+        if is_external_allowed() {
+            words.push("--allow-external".to_owned());
+        }
         words.extend([
             format!("--controller={}", self.controller.name),
             format!("--space={}", self.space.0),

@@ -254,7 +254,7 @@ impl Loading<'_> {
         self.check_numbers(&config)?;
         // However a controller is spelled, it goes by one name.
         let place_of = |name: &mut String| {
-            if let Ok(found) = NamedController::find(name, self.folder) {
+            if let Ok(found) = NamedController::find_for_user(name, self.folder) {
                 *name = found.name;
             }
             controllers.iter().position(|controller| controller.name == *name)

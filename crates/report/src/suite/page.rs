@@ -158,6 +158,7 @@ impl Page<'_> {
         let title = format!("{}, {}", failed.point, tested.controller);
         let labels = vehicle_names(&failed.scenario);
         html! {
+            @if named.is_none() { p.kicker { "Not drawn: the recorded controller is not available here." } }
             @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
                 @let impacts = &simulated.impacts;
                 figure {

@@ -13,7 +13,6 @@ use super::reach::BoxSpec;
 use super::starts::Starts;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crate::worst_case::{Family, FamilyError, Ranges, is_about, is_exactly};
-use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
@@ -33,7 +32,7 @@ pub enum Unbound {
     },
     /// The text of a scenario, space or box is none.
     #[error(transparent)]
-    Text(#[from] FileError),
+    Text(FileError),
     /// The ranges make no box around the scenario.
     #[error("provenance.box_text: {0}")]
     Family(#[from] FamilyError),
@@ -43,6 +42,9 @@ pub enum Unbound {
     /// A registration of which nothing can be claimed.
     #[error(transparent)]
     Rate(#[from] InvalidRate),
+    /// The scenario or space names a program, which may not be started, so it was not read.
+    #[error(transparent)]
+    StartRefused(FileError),
     /// Two places say different things.
     #[error("`{field}` {problem}")]
     Differs {
@@ -51,6 +53,12 @@ pub enum Unbound {
         /// What it is not.
         problem: &'static str,
     },
+}
+
+impl From<FileError> for Unbound {
+    fn from(error: FileError) -> Self {
+        if error.is_start_refused() { Self::StartRefused(error) } else { Self::Text(error) }
+    }
 }
 
 /// Checks that the numbers of a statement are those of the texts that it is bound to. A policy's file is needed for a statement about
@@ -185,13 +193,10 @@ pub(super) fn plan_of(
     Ok(RatePlan::new(RateConfig { controllers, space, seed, estimator, runs, confidence })?)
 }
 
-/// The controllers that a registration names, if all are built in: a name in a certificate is never taken for that of a file.
+/// Returns the controllers that a registration names, if all are built in: a name in a certificate stands for no file and no
+/// program.
 pub(super) fn built_in_controllers(registration: &Registration) -> Option<(NamedController, Option<NamedController>)> {
-    let find = |name: &String| {
-        let inner = name.rsplit(':').next()?;
-        ControllerSpec::parse(inner)?.ok()?;
-        NamedController::find(name, Path::new("")).ok()
-    };
+    let find = |name: &String| NamedController::find_built_in(name);
     let first = find(registration.configuration.get("controller")?)?;
     let second = registration.configuration.get("against");
     match second {

@@ -44,7 +44,8 @@ pub enum RerunError {
     NoBlocks,
     /// The controllers are not at hand.
     #[error(
-        "`registration.configuration.{place}` names no built-in controller, and no file that was given is the one counted"
+        "`registration.configuration.{place}` names no built-in controller, and no --controller has its identity: a name in a \
+         certificate opens no file and starts no program, not even with --allow-external"
     )]
     NoController {
         /// Which.

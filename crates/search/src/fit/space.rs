@@ -30,8 +30,7 @@ pub(super) fn marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Mar
     let fitted = |parameter: &ObservedParameter| match stated(spec, &parameter.name) {
         Some(distribution) => Marginal::of(parameter, distribution),
         None => {
-            let (field, problem) = ("observed.parameters".to_owned(), format!("there is no `{}`", parameter.name));
-            Err(InvalidSpace { field, problem }.into())
+            Err(InvalidSpace::new("observed.parameters", format!("there is no `{}`", parameter.name)).into())
         }
     };
     observed.parameters.par_iter().map(fitted).collect()

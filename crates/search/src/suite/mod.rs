@@ -29,7 +29,7 @@ pub use margin::{Beyond, Margin, MarginEnd};
 pub use preventable::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 pub use run::{SuiteRunError, run};
-pub use shard::{MergedSuite, SHARD_OF_A_SUITE, SuiteShardError, run_shard};
+pub use shard::{MergedSuite, SHARD_OF_A_SUITE, SuiteShardError, UnavailableController, run_shard};
 pub use situation::{Boundary, MapAxis, Situation};
 pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
 pub use within::Within;

@@ -12,7 +12,7 @@ use super::{Suite, SuiteResult, SuiteSpec, Tested};
 use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard, TooManyShards};
 use crate::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
+use crumple_world::sim::{NamedController, UnknownController};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
@@ -41,6 +41,30 @@ pub enum SuiteShardError {
     /// A file cannot be encoded.
     #[error("cannot encode a file of a shard: {0}")]
     Encoding(String),
+}
+
+/// Reason why a controller that shards record cannot drive here.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum UnavailableController {
+    /// Its name stands for no controller here, or for a program that may not be started.
+    #[error("the recorded controller `{name}` is not available: {source}")]
+    NotFound {
+        /// Its name.
+        name: String,
+        /// The reason.
+        source: UnknownController,
+    },
+    /// Its name stands for another controller here.
+    #[error("the recorded controller `{name}` is not available: its identity is {recorded}, and here `{name}` has {found}")]
+    Other {
+        /// Its name.
+        name: String,
+        /// The identity in the shards: SHA-256, in hexadecimal.
+        recorded: String,
+        /// The identity found, or `none`.
+        found: String,
+    },
 }
 
 /// The file `shard.json`.
@@ -191,6 +215,26 @@ impl MergedSuite {
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
         self.parts.missing_shards()
+    }
+
+    /// Looks the recorded controllers up by their names, whose relative paths start at `folder`. Only a controller with the
+    /// recorded identity is available.
+    pub fn controllers(
+        &self,
+        folder: &Path,
+    ) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
+        self.run.controllers.iter().map(move |(name, recorded)| {
+            let found = NamedController::find(name, folder)
+                .map_err(|source| UnavailableController::NotFound { name: name.clone(), source })?;
+            match found.kind.identity() {
+                Some(identity) if identity == *recorded => Ok(NamedController { name: name.clone(), ..found }),
+                other => Err(UnavailableController::Other {
+                    name: name.clone(),
+                    recorded: recorded.clone(),
+                    found: other.unwrap_or_else(|| "none".to_owned()),
+                }),
+            }
+        })
     }
 
     /// What the suite found, the same as by one machine; none while tests are missing.

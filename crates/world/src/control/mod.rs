@@ -87,7 +87,10 @@ pub use network::{NetworkController, NetworkDriver};
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
 #[cfg(feature = "process")]
 pub use process::fmu_host;
-pub use process::{FmuProblem, ProcessController, ProcessDriver, ProcessSetup, Wiring};
+pub use process::{
+    FmuProblem, NamedBy, ProcessController, ProcessDriver, ProcessSetup, StartPermission, StartRefused, Wiring,
+    allow_external, is_external_allowed,
+};
 pub use quantity::Quantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};

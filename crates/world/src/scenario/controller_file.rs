@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, ProcessController,
-    ProcessSetup, Wiring,
+    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NamedBy, NetworkController, Output, ProcessController,
+    ProcessSetup, StartPermission, StartRefused, Wiring,
 };
 use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
 use crate::policy::{Policy, PolicyError};
@@ -105,6 +105,9 @@ pub enum ControllerFileError {
     /// A command that cannot drive.
     #[error("{0}")]
     Command(InvalidMapping),
+    /// A program that the user did not name.
+    #[error(transparent)]
+    StartRefused(#[from] StartRefused),
     /// An FMU that cannot drive.
     #[error("{path}: {problem}")]
     Fmu {
@@ -147,16 +150,16 @@ pub enum FileController {
 }
 
 impl FileController {
-    /// Reads a controller. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
+    /// Reads a controller, and starts nothing. `named_by` says who named the file: runs of a process or an FMU start it. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
     /// `.toml` a controller file, and any other file a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
     ///
     /// # Errors
-    /// [`ControllerFileError`] if there is no such file, or it holds no usable controller.
-    pub fn load(path: &Path) -> Result<Self, ControllerFileError> {
+    /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
+    pub fn load(path: &Path, named_by: NamedBy) -> Result<Self, ControllerFileError> {
         if path.extension().is_some_and(|extension| extension == "toml") {
-            load(path)
+            load(path, named_by)
         } else if path.extension().is_some_and(|extension| extension == "fmu") {
-            load_fmu(path)
+            load_fmu(path, named_by)
         } else if NetworkFile::is_one(path) {
             load_network(path).map(Self::Network)
         } else {
@@ -267,7 +270,7 @@ fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
 }
 
 /// The controller of a controller file.
-fn load(path: &Path) -> Result<FileController, ControllerFileError> {
+fn load(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
     let wrong = |InvalidMapping { field, problem }| FileError::Syntax {
@@ -281,6 +284,9 @@ fn load(path: &Path) -> Result<FileController, ControllerFileError> {
         return Err(wrong(InvalidMapping::new("version", problem)).into());
     }
     let folder = path.with_file_name("");
+    let permission = |field: &str| {
+        named_by.permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))
+    };
     match file.drives().map_err(wrong)? {
         Drives::Network(name) => {
             let normalised = file.normalised;
@@ -309,32 +315,36 @@ fn load(path: &Path) -> Result<FileController, ControllerFileError> {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
                 problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
             })?;
-            started(ProcessSetup {
+            let setup = ProcessSetup {
                 deterministic: deterministic.unwrap_or(plain.deterministic),
                 start_within_s: start_within_s.unwrap_or(plain.start_within_s),
                 answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
                 ..plain
-            })
-            .map_err(|invalid| wrong(invalid).into())
+            };
+            started(setup, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
         }
-        Drives::Command(command) => started(file.process(command, &folder)).map_err(|invalid| wrong(invalid).into()),
+        Drives::Command(command) => {
+            started(file.process(command, &folder), permission("command")?).map_err(|invalid| wrong(invalid).into())
+        }
     }
 }
 
 /// A process that is set up.
-fn started(setup: ProcessSetup) -> Result<FileController, InvalidMapping> {
-    Ok(FileController::Process(Arc::new(ProcessController::new(setup)?)))
+fn started(setup: ProcessSetup, permission: StartPermission) -> Result<FileController, InvalidMapping> {
+    Ok(FileController::Process(Arc::new(ProcessController::new(setup, permission)?)))
 }
 
 /// An FMU in a file of its own: its inputs are called like what can be seen.
-fn load_fmu(path: &Path) -> Result<FileController, ControllerFileError> {
+fn load_fmu(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let setup = ProcessSetup::of_fmu(&path.with_file_name(""), &name, Wiring::default());
     let failed = |problem| match problem {
         FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping { path: path.display().to_string(), invalid },
         problem => ControllerFileError::Fmu { path: path.display().to_string(), problem },
     };
-    started(setup.map_err(failed)?).map_err(|invalid| failed(invalid.into()))
+    let setup = setup.map_err(failed)?;
+    let permission = named_by.permission(|| path.display().to_string())?;
+    started(setup, permission).map_err(|invalid| failed(invalid.into()))
 }
 
 /// What a controller file says drives.

@@ -4,9 +4,10 @@ use std::path::{self, Path};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::controller_file::{FileController, is_ordinary};
+use super::controller_file::{ControllerFileError, FileController, is_ordinary};
+use super::invalid::Problem;
 use super::profile::LeadProfile;
-use crate::control::{self, BuiltIn, ControllerSpec, with_controllers};
+use crate::control::{self, BuiltIn, ControllerSpec, NamedBy, with_controllers};
 
 /// Who decides a vehicle's acceleration.
 ///
@@ -65,24 +66,29 @@ impl FileDriver {
 
     /// Reads the controller, whose path starts at `folder`. From then on it states its identity and where it lies on this
     /// machine, so that a scenario that is written elsewhere still finds it, and no other.
-    pub(super) fn read(&mut self, folder: &Path) -> Result<(), String> {
-        let path = path::absolute(folder.join(&self.form.path)).map_err(|error| error.to_string())?;
+    pub(super) fn read(&mut self, folder: &Path) -> Result<(), Problem> {
+        let unusable = |why: String| Problem::DriverFile { why };
+        let path = path::absolute(folder.join(&self.form.path)).map_err(|error| unusable(error.to_string()))?;
         if !is_ordinary(&path) {
-            return Err(format!("there is no file {}", path.display()));
+            return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller = FileController::load(&path).map_err(|error| error.to_string())?;
+        let controller = FileController::load(&path, NamedBy::File).map_err(|error| match error {
+            ControllerFileError::StartRefused(refused) => refused.into(),
+            other => unusable(other.to_string()),
+        })?;
         let Some(identity) = controller.identity() else {
             // Runs with it could be told from runs with another by nothing that the scenario says.
-            return Err(format!(
+            return Err(unusable(format!(
                 "{} states no identity: the driver of a scenario has to list its `files`, and be deterministic",
                 path.display()
-            ));
+            )));
         };
         if let Some(wanted) = self.form.sha256.as_ref().filter(|wanted| **wanted != identity) {
-            return Err(format!("{} has the identity {identity}, and {wanted} is wanted", path.display()));
+            let problem = format!("{} has the identity {identity}, and {wanted} is wanted", path.display());
+            return Err(unusable(problem));
         }
         let path = path.into_os_string().into_string();
-        let path = path.map_err(|path| format!("{} is a path that is not UTF-8", path.display()))?;
+        let path = path.map_err(|path| unusable(format!("{} is a path that is not UTF-8", path.display())))?;
         self.form = FileForm { path, sha256: Some(identity) };
         self.controller = Some(controller);
         Ok(())

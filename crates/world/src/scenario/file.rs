@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 use super::by_name::ByName;
-use super::{InvalidField, Scenario, ScenarioSpec};
+use super::{InvalidField, Problem, Scenario, ScenarioSpec};
 
 /// Why a scenario file could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -48,6 +48,14 @@ pub enum FileError {
         /// The field and its problem.
         invalid: InvalidField,
     },
+}
+
+impl FileError {
+    /// Returns true if the only fault of the file is that it names a program, which crumple may not start.
+    #[must_use]
+    pub fn is_start_refused(&self) -> bool {
+        matches!(self, Self::Invalid { invalid: InvalidField { problem: Problem::StartRefused(_), .. }, .. })
+    }
 }
 
 /// The two file formats.

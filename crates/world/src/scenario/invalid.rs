@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::SCENARIO_VERSION;
+use crate::control::StartRefused;
 
 /// A field that makes a scenario invalid: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -138,6 +139,9 @@ pub enum Problem {
         /// Why not.
         why: String,
     },
+    /// A driver that is a program.
+    #[error(transparent)]
+    StartRefused(#[from] StartRefused),
     /// A seed that a TOML file cannot hold, since its integers are signed.
     #[error("must be at most {limit}, found {found}", limit = i64::MAX)]
     Seed {

@@ -141,13 +141,13 @@ impl ScenarioSpec {
     /// is not valid.
     ///
     /// # Errors
-    /// [`InvalidField`] names the first that cannot be read.
+    /// [`InvalidField`] names the first that cannot be read, or that is a program: a scenario starts none unless
+    /// [`allow_external`](crate::control::allow_external) was called.
     pub fn read_drivers(&mut self, folder: &Path) -> Result<(), InvalidField> {
         for (index, vehicle) in self.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
                 let field = || format!("vehicles[{index}].driver.file.path");
-                file.read(folder)
-                    .map_err(|why| InvalidField { field: field(), problem: Problem::DriverFile { why } })?;
+                file.read(folder).map_err(|problem| InvalidField { field: field(), problem })?;
             }
         }
         Ok(())

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, ProcessController,
-    ProcessSetup, RetrainedPolicy, ShieldSettings,
+    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
+    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, StartRefused,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
@@ -119,6 +119,9 @@ pub enum UnknownController {
         /// Why not.
         failure: ControllerFailure,
     },
+    /// A program that the user did not name.
+    #[error(transparent)]
+    StartRefused(#[from] StartRefused),
     /// A setting of a built-in controller that is wrong.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
@@ -144,6 +147,7 @@ impl From<ControllerFileError> for UnknownController {
     fn from(error: ControllerFileError) -> Self {
         match error {
             ControllerFileError::Policy(error) => Self::Policy(error),
+            ControllerFileError::StartRefused(refused) => Self::StartRefused(refused),
             other => Self::File(other),
         }
     }
@@ -156,8 +160,8 @@ impl NamedController {
         Self { name: name.to_owned(), kind: ControllerKind::Custom(source) }
     }
 
-    /// The built-in controller of that name, or the one in a file; a relative path starts at `folder`
-    /// ([`FileController::load`]).
+    /// Finds the controller that a file names: a built-in one, or the one in another file; a relative path starts at `folder`
+    /// ([`FileController::load`]). For names that the user gives there is [`Self::find_for_user`].
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -168,18 +172,36 @@ impl NamedController {
     /// is seen, and those that are not given are then 0.
     ///
     /// # Errors
-    /// [`UnknownController`] if there is neither, or the file holds no usable controller.
+    /// [`UnknownController`] if there is neither, or the file holds no usable controller;
+    /// [`UnknownController::StartRefused`] for a process or an FMU, unless [`allow_external`](crate::control::allow_external)
+    /// was called.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        Self::behind(MOST_SHIELDS, name, folder)
+        Self::behind(MOST_SHIELDS, name, folder, NamedBy::File)
     }
 
-    /// The same, and what has to be started for it is started once as a trial: a program that is missing is a mistake of who names it, not
-    /// a failure of a controller.
+    /// Finds a built-in controller, behind shields or not. Reads no file and starts nothing.
+    #[must_use]
+    pub fn find_built_in(name: &str) -> Option<Self> {
+        ControllerSpec::parse(without_shields(name))?.ok()?;
+        Self::find(name, Path::new("")).ok()
+    }
+
+    /// Finds the controller that the user names, in an argument or in a configuration that an argument names, as
+    /// [`Self::find`] does. Runs of a process or an FMU start it.
     ///
     /// # Errors
-    /// As [`Self::find`], and [`UnknownController::NotStarted`].
+    /// [`UnknownController`], as for [`Self::find`].
+    pub fn find_for_user(name: &str, folder: &Path) -> Result<Self, UnknownController> {
+        Self::behind(MOST_SHIELDS, name, folder, NamedBy::User)
+    }
+
+    /// Finds the controller that the user names ([`Self::find_for_user`]), and starts its program once as a trial: a missing
+    /// program is an error of the user, not a failure of a controller.
+    ///
+    /// # Errors
+    /// As [`Self::find_for_user`], and [`UnknownController::NotStarted`].
     pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        let found = Self::find(name, folder)?;
+        let found = Self::find_for_user(name, folder)?;
         found.try_start(folder)?;
         Ok(found)
     }
@@ -212,10 +234,7 @@ impl NamedController {
     /// Where a field of its file is, of a controller whose name starts at `folder`; none of a command by itself, which has no file.
     #[must_use]
     pub fn place_of(&self, field: &str, folder: &Path) -> Option<FieldPlace> {
-        let mut inner = self.name.as_str();
-        while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
-            inner = rest;
-        }
+        let inner = without_shields(&self.name);
         if inner.starts_with(EXEC) {
             return None;
         }
@@ -238,7 +257,7 @@ impl NamedController {
     }
 
     /// The controller of that name, which says at most so many shields.
-    fn behind(shields: usize, name: &str, folder: &Path) -> Result<Self, UnknownController> {
+    fn behind(shields: usize, name: &str, folder: &Path, named_by: NamedBy) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
         let name = &match name.strip_prefix("hardened") {
             Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
@@ -249,14 +268,15 @@ impl NamedController {
         }
         if let Some(command) = name.strip_prefix(EXEC) {
             let words = words(command).ok_or_else(|| UnknownController::Command { command: command.to_owned() })?;
-            let process =
-                ProcessController::new(ProcessSetup::new(words, folder)).map_err(ControllerFileError::Command)?;
+            let permission = named_by.permission(|| format!("`{name}`"))?;
+            let process = ProcessController::new(ProcessSetup::new(words, folder), permission)
+                .map_err(ControllerFileError::Command)?;
             return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
             let settings = shield_settings(settings)?;
             let left = shields.checked_sub(1).ok_or(UnknownController::Shields)?;
-            let Self { name: inner_name, kind: controller } = Self::behind(left, inner, folder)?;
+            let Self { name: inner_name, kind: controller } = Self::behind(left, inner, folder, named_by)?;
             let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
             return Ok(Self { name, kind: Shielded { controller, settings }.into() });
         }
@@ -272,7 +292,7 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        Ok(Self { name: name.to_owned(), kind: FileController::load(&place)?.into() })
+        Ok(Self { name: name.to_owned(), kind: FileController::load(&place, named_by)?.into() })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
@@ -293,6 +313,15 @@ impl NamedController {
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
     }
+}
+
+/// Returns the name of the controller behind all shields.
+fn without_shields(name: &str) -> &str {
+    let mut inner = name;
+    while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
+        inner = rest;
+    }
+    inner
 }
 
 /// The file that a name without its ending may mean.

@@ -17,6 +17,7 @@ use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::NamedController;
 
 /// Most evaluations that are looked at: the first ones. Each takes some 400 bytes.
 pub const MOST_SHOWN: usize = 200_000;
@@ -157,6 +158,15 @@ impl Look {
     #[must_use]
     pub fn controller(&self) -> &str {
         &self.terms.record.controller
+    }
+
+    /// Returns true if a controller is the recorded one: by its name and, where the record states one, its identity.
+    #[must_use]
+    pub fn is_about(&self, controller: &NamedController) -> bool {
+        let record = &self.terms.record;
+        controller.name == record.controller
+            && controller.policy().map(|policy| policy.digest()) == record.policy_sha256
+            && controller.identity_beside_name() == record.controller_sha256
     }
 
     /// What it looked through.

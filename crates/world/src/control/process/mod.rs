@@ -2,6 +2,7 @@
 
 mod driver;
 mod fmu;
+mod permission;
 
 use std::fmt;
 use std::fs::File;
@@ -17,6 +18,7 @@ pub use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::fmu_host;
 pub use self::fmu::{FmuProblem, Wiring};
+pub use self::permission::{NamedBy, StartPermission, StartRefused, allow_external, is_external_allowed};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::digest::{Sha256, sha256};
 use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
@@ -165,11 +167,12 @@ impl Greeted {
 }
 
 impl ProcessController {
-    /// A process as a controller. Reads the files that its identity stands for, and starts nothing.
+    /// Creates a controller whose runs start the program, for which `_permission` is needed. Reads the files that its identity
+    /// stands for, and starts nothing yet.
     ///
     /// # Errors
     /// [`InvalidMapping`] names the first field that is wrong.
-    pub fn new(mut setup: ProcessSetup) -> Result<Self, InvalidMapping> {
+    pub fn new(mut setup: ProcessSetup, _permission: StartPermission) -> Result<Self, InvalidMapping> {
         #[derive(Serialize)]
         struct Identity<'a> {
             command: &'a [String],

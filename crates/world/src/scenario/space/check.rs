@@ -7,7 +7,9 @@ use super::field::{Field, Target};
 use super::marginal::Marginal;
 use super::spec::{Base, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Value};
 use super::{Parameter, Space};
-use crate::scenario::{InvalidField, Scenario, VehicleClass, built_in, built_in_names, file, short};
+use crate::control::StartRefused;
+use crate::scenario::file::FileError;
+use crate::scenario::{InvalidField, Problem, Scenario, VehicleClass, built_in, built_in_names, file, short};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -17,6 +19,22 @@ pub struct InvalidSpace {
     pub field: String,
     /// What is wrong.
     pub problem: String,
+    /// Refusal to start a program that the base scenario names, if that is what is wrong.
+    pub start_refused: Option<StartRefused>,
+}
+
+impl InvalidSpace {
+    /// Names a field and what is wrong with it.
+    pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self { field: field.into(), problem: problem.into(), start_refused: None }
+    }
+
+    /// Names the field of a base scenario that is invalid.
+    fn of_base(field: String, problem: Problem) -> Self {
+        let words = problem.to_string();
+        let start_refused = if let Problem::StartRefused(refused) = problem { Some(refused) } else { None };
+        Self { field, problem: words, start_refused }
+    }
 }
 
 /// Names that mean something else in tables of evaluations.
@@ -44,7 +62,7 @@ fn class_names(between: &str) -> String {
 }
 
 pub(super) fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
-    Err(InvalidSpace { field: field.into(), problem: problem.into() })
+    Err(InvalidSpace::new(field, problem))
 }
 
 impl Space {
@@ -121,7 +139,7 @@ impl Space {
             return wrong(at("name"), format!("`{}` is the name of another parameter", spec.name));
         }
         let field =
-            Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace { field: at("field"), problem })?;
+            Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace::new(at("field"), problem))?;
         if matches!(field.target, Target::Gap(_) | Target::TimeGap(_) | Target::ClosingTime(_)) && !self.lines_up {
             return wrong(at("field"), "a space has gaps or positions, not both");
         }
@@ -145,7 +163,7 @@ impl Space {
         let marginal = spec
             .distribution
             .marginal()
-            .map_err(|(field, problem)| InvalidSpace { field: at(&format!("distribution{field}")), problem })?;
+            .map_err(|(field, problem)| InvalidSpace::new(at(&format!("distribution{field}")), problem))?;
         if kind != spec.distribution.kind() {
             let problem = match kind {
                 Kind::Number => "a number is expected".to_owned(),
@@ -259,10 +277,7 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
     match base {
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
-            let in_base = |InvalidField { field, problem }: InvalidField| InvalidSpace {
-                field: format!("base.{field}"),
-                problem: problem.to_string(),
-            };
+            let in_base = |InvalidField { field, problem }| InvalidSpace::of_base(format!("base.{field}"), problem);
             spec.read_drivers(folder).and_then(|()| Scenario::new(spec)).map_err(in_base)
         }
         Base::Named(name) => match built_in(name) {
@@ -272,7 +287,17 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
                 let known = known.join(", ");
                 wrong("base", format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"))
             }
-            None => file::load(&folder.join(name)).or_else(|error| wrong("base", error.to_string())),
+            None => file::load(&folder.join(name)).map_err(|error| match error {
+                FileError::Invalid {
+                    path,
+                    line,
+                    invalid: InvalidField { field, problem: Problem::StartRefused(StartRefused { place }) },
+                } => {
+                    let place = format!("{}:{line}: {field}: {place}", path.display());
+                    InvalidSpace::of_base("base".to_owned(), StartRefused { place }.into())
+                }
+                other => InvalidSpace::new("base", other.to_string()),
+            }),
         },
     }
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{InvalidSpace, Space, SpaceSpec};
+use crate::scenario::InvalidField;
 use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
 
 /// Reads and checks a space file.
@@ -20,10 +21,14 @@ pub fn load(path: &Path) -> Result<Space, FileError> {
 pub fn from_toml(text: &str, path: &Path) -> Result<Space, FileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    Space::new(spec, folder).map_err(|InvalidSpace { field, problem }| FileError::Syntax {
-        path: path.to_owned(),
-        line: line_in_toml(text, &field),
-        message: format!("{field}: {problem}"),
+    Space::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| {
+        let (path, line) = (path.to_owned(), line_in_toml(text, &field));
+        match start_refused {
+            Some(refused) => {
+                FileError::Invalid { path, line, invalid: InvalidField { field, problem: refused.into() } }
+            }
+            None => FileError::Syntax { path, line, message: format!("{field}: {problem}") },
+        }
     })
 }
 

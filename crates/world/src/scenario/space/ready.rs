@@ -14,7 +14,7 @@ impl Distribution {
     /// # Errors
     /// [`InvalidSpace`] names the field that is wrong.
     pub fn ready(&self) -> Result<ReadyDistribution, InvalidSpace> {
-        let wrong = |(field, problem)| InvalidSpace { field: format!("distribution{field}"), problem };
+        let wrong = |(field, problem)| InvalidSpace::new(format!("distribution{field}"), problem);
         self.marginal().map(ReadyDistribution).map_err(wrong)
     }
 }
