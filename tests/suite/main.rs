@@ -13,6 +13,8 @@ mod corpora;
 mod damage;
 mod engines;
 mod estimation;
+#[cfg(unix)]
+mod external;
 mod explore;
 #[cfg(target_os = "linux")]
 mod faults;

@@ -23,7 +23,7 @@ const ODD: &str = include_str!("odd.c");
 const ODD_XML: &str = include_str!("odd.xml");
 
 /// Where the edition of the standard wants the library of this platform.
-fn member(edition: u32, name: &str) -> String {
+pub(crate) fn member(edition: u32, name: &str) -> String {
     let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
     let extension = if cfg!(target_os = "macos") { "dylib" } else { "so" };
     let folder = match edition {
@@ -49,7 +49,7 @@ fn compiled(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
     }
 }
 
-fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
+pub(crate) fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
         archive.start_file(*name, SimpleFileOptions::default()).unwrap();
@@ -99,7 +99,7 @@ variable = "rate"
 "#;
 
 fn find(name: &str, folder: &Path) -> NamedController {
-    NamedController::find(name, folder).unwrap_or_else(|error| panic!("{error}"))
+    NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
@@ -228,10 +228,10 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
     ];
     for (was, is, said) in cases {
         fs::write(odd.path().join("odd.toml"), WIRED.replacen(was, is, 1)).unwrap();
-        let error = NamedController::find("odd.toml", odd.path()).expect_err(is).to_string();
+        let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
-    let bare = NamedController::find("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
+    let bare = NamedController::find_for_user("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
     assert!(bare.contains("odd.fmu: inputs: its input `distance` is called like nothing that can be seen"), "{bare}");
     let nobody = Command::new(env!("CARGO_BIN_EXE_crumple"))
         .args(["simulate", "paper-1", "--controller", "odd.toml"])
@@ -249,7 +249,7 @@ fn damaged_fmus_are_refused() {
     let Some(example) = with_example() else { return };
     let path = example.path().join("follower.fmu");
     let whole = fs::read(&path).unwrap();
-    let refused = |what: &str| match NamedController::find("follower.fmu", example.path()) {
+    let refused = |what: &str| match NamedController::find_for_user("follower.fmu", example.path()) {
         Ok(_) => None,
         Err(error) => {
             let error = error.to_string();

@@ -9,6 +9,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use crumple_report::assessment::AssessmentPlan;
+use crumple_world::control::allow_external;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Driver, Scenario, built_in, file};
@@ -36,7 +37,7 @@ fn bad(what: &str, files: &str) -> tempfile::TempDir {
 const LISTED: &str = "files = [\"bad.sh\"]";
 
 fn find(name: &str, folder: &Path) -> NamedController {
-    NamedController::find(name, folder).unwrap_or_else(|error| panic!("{error}"))
+    NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
@@ -124,8 +125,8 @@ fn whatever_a_process_does_wrong_ends_the_run() {
     let failed = drive(&find("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
     let said = failed.failed().unwrap().to_string();
     assert!(said.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"), "{said}");
-    assert!(NamedController::find("exec:sh 'open", Path::new("")).is_err());
-    assert!(NamedController::find("exec:", Path::new("")).is_err());
+    assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
+    assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
 }
 
 /// Whoever fails in a batch ends its own run, and no other.
@@ -243,7 +244,7 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
     }
     let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
-    let said = refused(&["simulate", "driven.toml"]);
+    let said = refused(&["simulate", "driven.toml", "--allow-external"]);
     assert!(said.contains("states no identity: the driver of a scenario has to list its `files`"), "{said}");
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
@@ -254,6 +255,7 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
 /// A process that drives traffic drives as it would under test.
 #[test]
 fn a_scenario_may_have_a_process_as_a_driver() {
+    allow_external();
     let folder = bad("be good", LISTED);
     let text = file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
     let driven = file::from_toml(&text, &folder.path().join("driven.toml")).unwrap_or_else(|error| panic!("{error}"));
@@ -293,7 +295,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
             text = text.replace("start_within_s", "# ").replace("answer_within_s", "# ");
         }
         fs::write(folder.path().join("bad.toml"), text).unwrap();
-        let error = NamedController::find("bad.toml", folder.path()).expect_err(is).to_string();
+        let error = NamedController::find_for_user("bad.toml", folder.path()).expect_err(is).to_string();
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
 }

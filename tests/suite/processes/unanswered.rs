@@ -95,7 +95,7 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
             let driven =
                 file::to_toml(&short()).unwrap().replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
             fs::write(folder.path().join("driven.toml"), driven).unwrap();
-            let (code, _, error) = said(folder.path(), &["simulate", "driven.toml"]);
+            let (code, _, error) = said(folder.path(), &["simulate", "driven.toml", "--allow-external"]);
             assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
             assert!(error.contains(place) && error.contains(why), "{error}");
         }

@@ -1,0 +1,194 @@
+//! Files that name a program: scenarios, spaces, a campaign, a certificate, and shards. The program leaves a marker when it starts.
+
+use std::cell::RefCell;
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+
+use crumple_world::digest::sha256;
+use crumple_world::scenario::{built_in, file};
+use tempfile::TempDir;
+
+use crate::command_line::{code, crumple, folder};
+use crate::fmus::{archive, member};
+
+/// The file that the program makes when it starts.
+pub(super) const MARKER: &str = "started";
+
+/// The program as a command, with as many letters as `evil.toml` has.
+pub(super) const EXEC: &str = "exec:./ev";
+
+/// A controller that keeps accelerating.
+const PROGRAM: &str = r#"#!/bin/sh
+: > started
+while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) echo '{"crumple":1,"name":"marker","deterministic":true}' ;;
+        *reset*) echo "{\"id\":$id,\"ready\":true}" ;;
+        *) echo "{\"id\":$id,\"acceleration_mps2\":2}" ;;
+    esac
+done
+"#;
+
+const FMU: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="evil" instantiationToken="evil">
+  <CoSimulation modelIdentifier="evil"/>
+  <ModelVariables>
+    <Float64 name="gap_ahead_m" valueReference="1" causality="input" start="80"/>
+    <Float64 name="acceleration_mps2" valueReference="2" causality="output"/>
+  </ModelVariables>
+</fmiModelDescription>
+"#;
+
+const SUITE: &str = r#"version = 1
+name = "stands"
+about = "A vehicle that stands."
+document = "None"
+edition = "First"
+figures_from = "Nothing."
+
+[[clauses]]
+clause = "1"
+says = "Touch nothing."
+
+[[clauses.tests]]
+name = "stands"
+lead = "stopped"
+figures.own_speed = { values = [60.0], unit = "km/h", origin = "chosen" }
+figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
+"#;
+
+/// A space around a scenario.
+pub(super) fn space(name: &str, base: &str) -> String {
+    format!(
+        "version = 1\nname = \"{name}\"\nbase = \"{base}\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
+         unit = \"m\"\ndistribution.uniform = {{ low = 15.0, high = 40.0 }}\n"
+    )
+}
+
+/// A configuration of a short assessment.
+pub(super) fn assessed(controllers: &str, more: &str) -> String {
+    format!(
+        "version = 1\npaper = false\n{controllers}\n{more}\ndistributions = [\"plain.toml\"]\ndraws = 4\neveryday_draws = 1\n\
+         certificates = []\nsearch = {{ spaces = [\"plain.toml\"], budget = 4 }}\nrates = {{ runs = 0 }}\n"
+    )
+}
+
+/// Output of a command.
+pub(super) struct Said {
+    pub(super) code: i32,
+    pub(super) text: String,
+    pub(super) error: String,
+}
+
+pub(super) struct Inputs {
+    folder: TempDir,
+    /// Folders and files that commands may write; removed before each.
+    outputs: RefCell<Vec<&'static str>>,
+}
+
+impl Inputs {
+    pub(super) fn new() -> Self {
+        let inputs = Self { folder: folder(), outputs: RefCell::new(vec!["o", "o.toml", "pages"]) };
+        inputs.write_files();
+        inputs.make_work();
+        assert!(inputs.has_started(), "the work was made with the program");
+        inputs
+    }
+
+    pub(super) fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Runs a command.
+    pub(super) fn run(&self, words: &[&str]) -> Said {
+        for output in self.outputs.borrow().iter() {
+            let path = self.folder().join(output);
+            let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+        }
+        let output = crumple(self.folder(), words);
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Said { code: code(&output), text: text(&output.stdout), error: text(&output.stderr) }
+    }
+
+    /// Returns true if the program has started since the last call.
+    pub(super) fn has_started(&self) -> bool {
+        fs::remove_file(self.folder().join(MARKER)).is_ok()
+    }
+
+    fn write(&self, name: &str, contents: impl AsRef<[u8]>) {
+        fs::write(self.folder().join(name), contents).unwrap();
+    }
+
+    fn write_files(&self) {
+        self.write("ev", PROGRAM);
+        fs::set_permissions(self.folder().join("ev"), fs::Permissions::from_mode(0o755)).unwrap();
+        self.write("evil.toml", "version = 1\ncommand = [\"./ev\"]\nfiles = [\"ev\"]\n");
+        let library = member(3, "evil");
+        self.write("evil.fmu", archive(&[("modelDescription.xml", FMU.as_bytes()), (&library, b"no library")]));
+        let short = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 0.5).unwrap();
+        let text = file::to_toml(&short).unwrap();
+        self.write("plain-base.toml", &text);
+        for (name, path) in [("driven.toml", "evil.toml"), ("driven-fmu.toml", "evil.fmu")] {
+            assert!(text.contains("\"baseline\""), "{text}");
+            self.write(name, text.replace("\"baseline\"", &format!("{{ file = {{ path = \"{path}\" }} }}")));
+        }
+        let mut json = serde_json::to_value(short.spec()).unwrap();
+        json["vehicles"][2]["driver"] = serde_json::json!({ "file": { "path": "evil.toml" } });
+        self.write("driven.json", json.to_string());
+        self.write("space.toml", space("driven", "driven.toml"));
+        self.write("plain.toml", space("plain", "plain-base.toml"));
+        self.write("suite.toml", SUITE);
+        let idm = "controllers = [\"idm\"]";
+        self.write("scenarios.toml", assessed(idm, "scenarios = [\"driven.toml\"]"));
+        self.write("spaces.toml", assessed(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"));
+        let preset = crate::tiny::training();
+        self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\n"));
+    }
+
+    /// A campaign, a certificate and shards, made with permission.
+    fn make_work(&self) {
+        let search = ["falsify", "--controller", "idm", "--space", "space.toml", "--budget", "2", "--allow-external"];
+        let count = ["verify", "rate", "--controller", "idm", "--space", "space.toml", "--runs", "2", "--allow-external"];
+        let suite = ["suite", "run", "suite.toml", "--controller", "evil.toml", "--shard", "1/1"];
+        let work: [(&[&str], &[&str]); 5] = [
+            (&search, &["--out", "campaign"]),
+            (&search, &["--shard", "1/1", "--out", "search-shard"]),
+            (&count, &["--confidence", "0.6", "--out", "rate"]),
+            (&count, &["--confidence", "0.6", "--shard", "1/1", "--out", "rate-shard"]),
+            (&suite, &["--out", "suite-shard"]),
+        ];
+        for (command, more) in work {
+            let said = self.run(&[command, more].concat());
+            assert_eq!(said.code, 0, "{command:?}: {}", said.error);
+        }
+        let (from, to) = (self.folder().join("suite-shard"), self.folder().join("exec-shard"));
+        fs::create_dir(&to).unwrap();
+        for entry in fs::read_dir(from).unwrap() {
+            let entry = entry.unwrap();
+            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+        for name in ["shard.json", "results.json"] {
+            let text = fs::read_to_string(to.join(name)).unwrap();
+            fs::write(to.join(name), text.replace("evil.toml", EXEC)).unwrap();
+        }
+        rehash(&to);
+    }
+}
+
+/// Writes the hashes of a folder's files into its manifest, as an attacker would. The files keep their lengths.
+pub(super) fn rehash(folder: &Path) {
+    let path = folder.join("work.json");
+    let mut text = fs::read_to_string(&path).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for (name, entry) in manifest["files"].as_object().unwrap() {
+        if let (Some(old), Ok(bytes)) = (entry["whole"]["sha256"].as_str(), fs::read(folder.join(name))) {
+            text = text.replace(old, &sha256(bytes));
+        }
+    }
+    let own = manifest["sha256"].as_str().unwrap();
+    let empty = text.replace(own, "");
+    fs::write(path, text.replace(own, &sha256(&empty))).unwrap();
+}

@@ -1,0 +1,228 @@
+//! crumple starts only the programs that the command line names: every subcommand, on files that name a program.
+
+mod inputs;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use crate::command_line::{code, crumple, folder};
+use inputs::{EXEC, Inputs, MARKER, rehash};
+
+const OPTION: &str = "--allow-external";
+
+/// Result without the option, and with it.
+#[derive(Clone, Copy)]
+enum Expected {
+    /// Exit code 2, and an error that names the option and this place. With the option the program starts.
+    RefusedOrStarts(&'static str),
+    /// As before. With the option the command takes too long for a test, or reads the program's name and starts nothing.
+    Refused(&'static str),
+    /// The command starts nothing, and needs no option.
+    StartsNothing,
+}
+
+use Expected::{Refused, RefusedOrStarts, StartsNothing};
+
+/// Subcommand, arguments, result. Every subcommand of `crumple --help` has a row.
+const TABLE: &[(&str, &[&str], Expected)] = &[
+    ("assess", &["scenarios.toml", "--out", "o"], Refused("driven.toml:")),
+    ("assess", &["spaces.toml", "--out", "o"], Refused("spaces.toml:")),
+    ("simulate", &["driven.toml"], RefusedOrStarts("vehicles[2].driver.file.path: ")),
+    ("simulate", &["driven.json"], RefusedOrStarts("vehicles[2].driver.file.path: ")),
+    ("simulate", &["driven-fmu.toml"], Refused("/evil.fmu: ")),
+    ("import", &["driven.toml", "--out", "o"], StartsNothing),
+    ("fit", &["driven.toml", "--out", "o.toml"], StartsNothing),
+    ("export", &["driven.toml", "--to", "openscenario", "--out", "o"], RefusedOrStarts("driven.toml:")),
+    (
+        "export",
+        &["driven.toml", "--to", "openscenario", "--as", "actions", "--out", "o"],
+        RefusedOrStarts("driven.toml:"),
+    ),
+    ("explore", &["driven.toml"], Refused("driven.toml:")),
+    ("explore", &["campaign"], Refused("base.vehicles[2].driver.file.path: ")),
+    ("train", &["--space", "space.toml", "--out", "o"], Refused("space.toml:")),
+    ("train", &["--preset", "preset.toml", "--out", "o"], Refused("space.toml:")),
+    ("retrain", &["--space", "space.toml", "--out", "o"], Refused("space.toml:")),
+    ("retrain", &["--regression", "space.toml", "--out", "o"], Refused("space.toml:")),
+    (
+        "falsify",
+        &["--controller", "idm", "--space", "space.toml", "--budget", "2", "--out", "o"],
+        RefusedOrStarts("space.toml:"),
+    ),
+    (
+        "falsify",
+        &["--controller", "idm", "--space", "space.toml", "--budget", "2", "--out", "campaign", "--resume"],
+        Refused("space.toml:"),
+    ),
+    ("avoid", &["driven.toml"], RefusedOrStarts("driven.toml:")),
+    ("worst-case", &["driven.toml", "--controller", "idm", "--budget", "1"], RefusedOrStarts("driven.toml:")),
+    ("check", &["rate/certificate.json"], Refused("base.vehicles[2].driver.file.path: ")),
+    ("check", &["rate/certificate.json", "--rerun"], RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
+    ("check", &["rate/certificate.json", "--scenario", "driven.toml"], RefusedOrStarts("driven.toml:")),
+    ("check", &["rate/certificate.json", "--policy", "evil.toml"], Refused("base.vehicles[2].driver.file.path: ")),
+    ("benchmark chasing-cars", &["--method", "uniform", "--budget", "1", "--seeds", "1"], StartsNothing),
+    ("benchmark acc", &["--network", "evil.toml"], StartsNothing),
+    ("benchmark acc", &["--network", "evil.fmu"], StartsNothing),
+    ("verify shield", &["--help"], StartsNothing),
+    (
+        "verify rate",
+        &["--controller", "idm", "--space", "space.toml", "--runs", "2", "--out", "o"],
+        RefusedOrStarts("space.toml:"),
+    ),
+    ("verify reach", &["--box", "driven.toml"], StartsNothing),
+    ("suite list", &[], StartsNothing),
+    ("suite show", &["driven.toml"], StartsNothing),
+    ("suite run", &["driven.toml", "--controller", "idm"], StartsNothing),
+    ("suite table", &["--help"], StartsNothing),
+    ("suite map", &["car-following", "--cells", "2x2"], StartsNothing),
+    ("plan", &["--controller", "idm", "--space", "space.toml", "--runs", "9", "--out", "o"], Refused("space.toml:")),
+    ("merge", &["search-shard", "--out", "o"], Refused("base.vehicles[2].driver.file.path: ")),
+    ("merge", &["rate-shard", "--out", "o"], Refused("base.vehicles[2].driver.file.path: ")),
+    ("merge", &["exec-shard", "--out", "o", "--format", "json"], StartsNothing),
+    ("fsck", &["campaign", "rate", "exec-shard"], StartsNothing),
+    ("list", &[], StartsNothing),
+    ("describe", &["evil.toml"], StartsNothing),
+    ("describe", &["evil.fmu"], StartsNothing),
+    ("describe", &["evil.fmu", "--format", "json"], StartsNothing),
+    ("describe", &[EXEC], StartsNothing),
+    ("doctor", &[], StartsNothing),
+    ("completions", &["bash"], StartsNothing),
+    ("man", &["--out", "o"], StartsNothing),
+];
+
+/// Names of all subcommands, as the help lists them; those of a subcommand behind its name.
+fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
+    let words: Vec<&str> = of.split_whitespace().chain(["--help"]).collect();
+    let help = String::from_utf8(crumple(folder, &words).stdout).unwrap();
+    let Some((_, list)) = help.split_once("\nCommands:\n") else { return BTreeSet::from([of.to_owned()]) };
+    let lines = list.lines().take_while(|line| !line.is_empty());
+    let names = lines.filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')));
+    let names = names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help");
+    names.flat_map(|name| subcommands(folder, format!("{of} {name}").trim())).collect()
+}
+
+#[test]
+fn no_subcommand_starts_a_program_that_only_a_file_names() {
+    let inputs = Inputs::new();
+    let covered: BTreeSet<String> = TABLE.iter().map(|(command, ..)| (*command).to_owned()).collect();
+    assert_eq!(covered, subcommands(inputs.folder(), ""), "every subcommand has a row in the table");
+    for (command, arguments, expected) in TABLE {
+        let words: Vec<&str> = command.split(' ').chain(arguments.iter().copied()).collect();
+        let said = inputs.run(&words);
+        assert!(!inputs.has_started(), "{words:?} starts it: {}", said.error);
+        let place = match expected {
+            StartsNothing => "",
+            Refused(place) | RefusedOrStarts(place) => place,
+        };
+        if !place.is_empty() {
+            assert_eq!(said.code, 2, "{words:?}: {} {}", said.text, said.error);
+            assert!(said.error.contains(OPTION) && said.error.contains(place), "{words:?}: {}", said.error);
+        }
+        if let Refused(_) = expected {
+            continue;
+        }
+        let said = inputs.run(&[&words[..], &[OPTION]].concat());
+        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", said.error);
+    }
+}
+
+/// With the option, crumple gives an FMU that a scenario names to its host, which finds no library in it.
+#[test]
+fn the_option_permits_the_fmu_that_a_scenario_names() {
+    let inputs = Inputs::new();
+    let said = inputs.run(&["simulate", "driven-fmu.toml", OPTION]);
+    assert!(said.code == 2 && said.error.contains("evil.fmu") && !said.error.contains(OPTION), "{}", said.error);
+    let listed = inputs.run(&["describe", "evil.fmu"]);
+    assert_eq!(listed.code, 0, "{}", listed.error);
+    assert!(listed.text.contains("input      gap_ahead_m"), "{}", listed.text);
+    let listed: serde_json::Value = serde_json::from_str(&inputs.run(&["describe", "evil.fmu", "--format", "json"]).text).unwrap();
+    assert_eq!(listed["variables"][1]["causality"], "output", "{listed}");
+}
+
+#[test]
+fn what_the_command_line_or_its_configuration_names_starts() {
+    let inputs = Inputs::new();
+    fs::write(inputs.folder().join("named.toml"), inputs::assessed("controllers = [\"idm\", \"evil.toml\"]", "")).unwrap();
+    let search = ["falsify", "--controller", "evil.toml", "--space", "plain.toml", "--budget", "2", "--out", "own"];
+    let cases: [&[&str]; 6] = [
+        &["simulate", "paper-1", "--controller", "evil.toml"],
+        &["simulate", "paper-1", "--controller", EXEC],
+        &["simulate", "paper-1", "--controller", "shield:evil.toml"],
+        &["assess", "named.toml", "--out", "report"],
+        &search,
+        &[&search[..], &["--resume"]].concat(),
+    ];
+    for words in cases {
+        let said = inputs.run(words);
+        assert!(inputs.has_started() && said.code < 2, "{words:?}: {}", said.error);
+    }
+}
+
+/// `merge --format html` draws a failure with the controller that the shard records, and with no other.
+#[test]
+fn a_page_is_drawn_with_the_recorded_controller_or_says_that_it_is_not_available() {
+    let inputs = Inputs::new();
+    let page = |shard: &str, more: &[&str]| {
+        inputs.run(&[&["merge", shard, "--out", "pages", "--format", "html"], more].concat())
+    };
+    let is_missing = "Not drawn: the recorded controller is not available here.";
+    // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
+    for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC)] {
+        let said = page(shard, &[]);
+        assert!(!inputs.has_started() && said.code == 0, "{}", said.error);
+        assert!(said.text.contains(is_missing) && !said.text.contains("<figure"), "{}", said.text);
+        assert!(said.error.contains(OPTION) && said.error.contains(&format!("`{name}` is not available")), "{}", said.error);
+    }
+    let said = page("suite-shard", &[OPTION]);
+    assert!(inputs.has_started() && said.text.contains("<figure") && !said.text.contains(is_missing), "{}", said.error);
+    // Another controller of the same name: a network, which needs no permission, and a program.
+    let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
+    fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
+    let said = page("suite-shard", &[OPTION]);
+    assert!(!inputs.has_started() && said.text.contains(is_missing) && !said.text.contains("<figure"), "{}", said.error);
+    assert!(said.error.contains("`evil.toml` is not available: its identity is "), "{}", said.error);
+    let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
+    fs::copy(networks.join("acc-5x20.onnx"), inputs.folder().join("acc-5x20.onnx")).unwrap();
+    fs::copy(networks.join("acc.toml"), inputs.folder().join("evil.toml")).unwrap();
+    let said = page("suite-shard", &[]);
+    assert!(said.text.contains(is_missing) && !said.text.contains("<figure"), "{}", said.error);
+    assert!(said.error.contains("`evil.toml` is not available: its identity is "), "{}", said.error);
+}
+
+/// `git status` starts the programs that the configuration of a repository names.
+#[test]
+fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
+    let folder = folder();
+    let git = |arguments: &[&str]| {
+        let done = std::process::Command::new("git").current_dir(folder.path()).args(arguments).output();
+        done.is_ok_and(|done| done.status.success())
+    };
+    if !git(&["init", "--quiet"]) {
+        println!("skipped: there is no git");
+        return;
+    }
+    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"]", "")).unwrap();
+    fs::write(folder.path().join("plain.toml"), inputs::space("plain", "paper-1")).unwrap();
+    let author = ["-c", "user.name=a", "-c", "user.email=a@b"];
+    assert!(git(&["add", "a.toml"]) && git(&[&author[..], &["commit", "--quiet", "-m", "a"]].concat()));
+    fs::write(folder.path().join(".gitattributes"), "*.toml filter=evil\n").unwrap();
+    let marker = format!("touch {}", folder.path().join(MARKER).display());
+    assert!(git(&["config", "filter.evil.clean", &format!("{marker}; cat")]));
+    assert!(git(&["config", "core.fsmonitor", &marker]));
+    // A later time stamp, so that git compares contents.
+    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"] ", "")).unwrap();
+    let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
+    assert!(code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
+    assert!(!folder.path().join(MARKER).exists());
+}
+
+/// Changes to a folder of work that `fsck` accepts: the attack of the tests above.
+#[test]
+fn a_shard_with_another_name_and_its_hashes_is_whole() {
+    let inputs = Inputs::new();
+    assert_eq!(inputs.run(&["fsck", "exec-shard"]).code, 0);
+    fs::write(inputs.folder().join("exec-shard/results.json"), "{}").unwrap();
+    assert_eq!(inputs.run(&["fsck", "exec-shard"]).code, 1);
+    rehash(&inputs.folder().join("exec-shard"));
+}
