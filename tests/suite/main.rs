@@ -35,6 +35,7 @@ mod policy_files;
 #[cfg(unix)]
 mod processes;
 mod reach;
+mod reference_drivers;
 mod report;
 mod retrained;
 mod road;
