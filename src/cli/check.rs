@@ -136,7 +136,9 @@ impl Check {
             (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(Counts::MakersWord),
             _ => None,
         };
-        let about = scenario.map(|scenario| lies_within(certificate, scenario, policy.as_deref()));
+        let about = scenario.map(|scenario| {
+            lies_within(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
+        });
         Ok(Checked { path: path.display().to_string(), certificate, accepted, counts, about })
     }
 

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crumple_search::evidence::Confirmation;
+use crumple_search::evidence::{Confirmation, left_out};
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
-use crumple_verify::{Accepted, Certificate, Statement, check};
+use crumple_verify::{Accepted, Certificate, Scope, Statement, check};
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
@@ -21,8 +21,8 @@ pub(super) struct Checked<'a> {
     pub(super) accepted: Result<Accepted, String>,
     /// What the counts are worth, if it counts.
     pub(super) counts: Option<Counts>,
-    /// Whether it is about the scenario that was asked for, if one was.
-    pub(super) about: Option<bool>,
+    /// Why it is not about the scenario that was asked for, if one was.
+    pub(super) about: Option<Result<(), String>>,
 }
 
 /// What the counts of a certificate are worth: each is a strength of its own.
@@ -122,7 +122,7 @@ pub(super) fn json_of_others(others: &[(String, Failure)]) -> Result<String, ser
 impl Checked<'_> {
     /// Whether anything speaks against it.
     pub(super) fn is_refused(&self) -> bool {
-        self.is_rejected() || self.about == Some(false)
+        self.is_rejected() || matches!(self.about, Some(Err(_)))
     }
 
     /// Whether what it says is not proved, or refuted.
@@ -152,6 +152,15 @@ impl Checked<'_> {
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
+    /// The scope, with the vehicles of its own scenario that the claim leaves out.
+    fn scope(&self, accepted: Option<&Accepted>) -> Scope {
+        match (left_out(self.certificate), accepted) {
+            (Some(vehicles), _) => self.certificate.scope_beside(accepted, vehicles),
+            (None, Some(accepted)) => self.certificate.scope_of(accepted),
+            (None, None) => self.certificate.scope(),
+        }
+    }
+
     fn text(&self, scenario: Option<&str>) -> String {
         let Self { certificate, accepted, counts, about, .. } = self;
         let path = Terminal(&self.path);
@@ -159,8 +168,9 @@ impl Checked<'_> {
             Ok(accepted) if matches!(counts, Some(Counts::Refuted { .. })) => {
                 format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
             }
-            Ok(accepted) if let (Some(scenario), Some(false)) = (scenario, about) => {
-                format!("{path}: is NOT about {}; taken by itself it is accepted: {accepted}\n", Terminal(scenario))
+            Ok(accepted) if let (Some(scenario), Some(Err(why))) = (scenario, about) => {
+                let (scenario, why) = (Terminal(scenario), Terminal(why));
+                format!("{path}: is NOT about {scenario}: {why}; taken by itself it is accepted: {accepted}\n")
             }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
@@ -168,10 +178,10 @@ impl Checked<'_> {
             }
         };
         match (scenario, about) {
-            (Some(scenario), Some(true)) => text += &format!("  is about {}\n", Terminal(scenario)),
+            (Some(scenario), Some(Ok(()))) => text += &format!("  is about {}\n", Terminal(scenario)),
             // Of an accepted one the first line says so.
-            (Some(scenario), Some(false)) if accepted.is_err() => {
-                text += &format!("  is NOT about {}\n", Terminal(scenario));
+            (Some(scenario), Some(Err(why))) if accepted.is_err() => {
+                text += &format!("  is NOT about {}: {}\n", Terminal(scenario), Terminal(why));
             }
             _ => {}
         }
@@ -180,7 +190,7 @@ impl Checked<'_> {
             text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
         }
         text += &counts.iter().map(|counts| format!("  {}\n", Terminal(&counts.words()))).collect::<String>();
-        text += &certificate.scope_of(shown).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
+        text += &self.scope(Some(shown)).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  which is the built-in one of that name\n",
             Some(false) => text += "  which is NOT the built-in one of that name\n",
@@ -244,6 +254,7 @@ struct Report<'a> {
     rerun: Option<RerunReport>,
     rejection: Option<String>,
     about_scenario: Option<bool>,
+    not_about_scenario: Option<&'a str>,
 }
 
 /// What was counted again.
@@ -265,7 +276,7 @@ pub(super) fn json(all: &[Checked<'_>]) -> Result<String, serde_json::Error> {
     lines.collect()
 }
 
-fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a> {
+fn report<'a>(one: &'a Checked<'a>, joint_confidence: Option<f64>) -> Report<'a> {
     let Checked { path, certificate, accepted, counts, about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
@@ -287,7 +298,7 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         }
         _ => {}
     }
-    let scope = accepted.as_ref().map_or_else(|_| certificate.scope(), |accepted| certificate.scope_of(accepted));
+    let scope = one.scope(accepted.as_ref().ok());
     let refuted = match counts {
         Some(Counts::Refuted { because }) => Some(because.clone()),
         _ => None,
@@ -326,6 +337,7 @@ fn report<'a>(one: &'a Checked<'_>, joint_confidence: Option<f64>) -> Report<'a>
         counts: counts.as_ref().map(Counts::name),
         rerun,
         rejection: accepted.as_ref().err().cloned().or(refuted),
-        about_scenario: *about,
+        about_scenario: about.as_ref().map(Result::is_ok),
+        not_about_scenario: about.as_ref().and_then(|about| about.as_ref().err()).map(String::as_str),
     }
 }

@@ -37,6 +37,7 @@ mod policy_files;
 #[cfg(unix)]
 mod processes;
 mod reach;
+mod reference_drivers;
 mod report;
 mod retrained;
 mod road;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_search::suite::{
-    Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, SHIPPED, Suite, TestVerdict, Unit,
+    Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite, TestVerdict, Unit,
     json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
@@ -29,7 +29,7 @@ const STATED: [Stated; 83] = {
         ("fmvss-127", "decelerating-lead", OwnSpeed, &[50.0, 80.0], Kmph),
         ("fmvss-127", "decelerating-lead", Gap, &[12.0, 40.0], Metre),
         ("fmvss-127", "decelerating-lead", Deceleration, &[0.3, 0.5], Gravity),
-        ("fmvss-127", "decelerating-lead", Ramp, &[1.5], Second),
+        ("fmvss-127", "decelerating-lead", Ramp, &[0.0, 1.5], Second),
         // Euro NCAP AEB car-to-car, 4.3.1.
         ("euro-ncap-2023", "ccrs", OwnSpeed, &[10.0, 50.0], Kmph),
         ("euro-ncap-2023", "ccrm", OwnSpeed, &[30.0, 80.0], Kmph),
@@ -402,9 +402,15 @@ fn failures_say_who_could_have_prevented_them_and_refusals_why() {
     assert!(matches!(stopped.verdict, TestVerdict::Failed { impact_speed_mps, .. } if impact_speed_mps > 20.0));
     assert_eq!((stopped.passed, stopped.failed.len()), (0, 2));
     assert!(stopped.margins.iter().all(|margin| margin.end == MarginEnd::None { beyond: Beyond::Fails }));
-    let does = |driver: &str| stopped.failed[0].references.iter().find(|run| run.driver == driver).unwrap().prevention;
-    assert_eq!(does("competent-human"), Prevention::DoesNotReact, "it is a model of following a vehicle that brakes");
-    assert_eq!((does("r157-simple"), does("rss")), (Prevention::Prevents, Prevention::Prevents));
+    let does = |place: usize, driver: &str| {
+        stopped.failed[place].references.iter().find(|run| run.driver == driver).unwrap().prevention
+    };
+    // From 2 s on the competent human stops from 50 km/h, and not from 80 km/h.
+    assert_eq!(
+        [0, 1].map(|place| does(place, "competent-human")),
+        [Prevention::Prevents, Prevention::Collides]
+    );
+    assert_eq!((does(0, "r157-simple"), does(0, "rss")), (Prevention::Prevents, Prevention::Prevents));
     assert_eq!(stopped.failed[0].avoidability.is_avoidable(), Some(true));
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
     for tested in test("false-activation") {
@@ -442,10 +448,11 @@ fn every_situation_is_the_one_that_its_figures_say() {
                         let to_it_m = revealed.position_m - revealed.length_m() - ahead.position_m;
                         assert_eq!(
                             (closing_mps, revealed.speed_mps, ahead.leaves),
-                            (0.0, 0.0, Some(LaneChange::At(0.0)))
+                            (0.0, 0.0, Some(LaneChange::At(0.01)))
                         );
                         assert!((gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
-                        assert!((to_it_m / ahead.speed_mps - value(Parameter::ClosingTime)).abs() < 1e-9, "{to_it_m}");
+                        let leaves_m = to_it_m - 0.01 * ahead.speed_mps;
+                        assert!((leaves_m / ahead.speed_mps - value(Parameter::ClosingTime)).abs() < 1e-9, "{to_it_m}");
                     }
                     Lead::CutIn => {
                         assert_eq!(
@@ -493,6 +500,49 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
         alone.iter_mut().for_each(|test| test.controllers = vec![test.controllers[1].clone()]);
         alone
     });
+}
+
+/// S7.1 lets the lead reach its deceleration in any time up to 1.5 s. Behind the longest ramp this controller collides nowhere, behind a
+/// shorter one it does.
+#[test]
+fn a_ramp_within_the_clause_fails_though_the_longest_passes() {
+    let verdicts = |ramp_s: &[f64]| {
+        let mut spec = shipped("fmvss-127").spec().clone();
+        spec.clauses.truncate(1);
+        spec.clauses[0].tests.retain(|test| test.name == "decelerating-lead");
+        let test = &mut spec.clauses[0].tests[0];
+        test.margins.clear();
+        test.figures.ramp.as_mut().unwrap().values = ramp_s.to_vec();
+        test.ranges.retain(|range| *range != Parameter::Ramp || ramp_s.len() > 1);
+        let result = run(&Suite::new(spec).unwrap(), &[named("acc-aeb,ttc_s=1.16")], EstimatorKind::Kalman).unwrap();
+        let tested = &result.clauses[0].tests[0].controllers[0];
+        [tested.verdict.is_passed(), tested.within.as_ref().unwrap().verdict.is_passed()]
+    };
+    assert_eq!(verdicts(&[1.5]), [true, true]);
+    let stated = shipped("fmvss-127").spec().clauses[0].tests[2].figures.ramp.clone().unwrap().values;
+    assert_eq!(verdicts(&stated), [false, false]);
+}
+
+/// The competent human of UN R157 brakes for vehicles that cut in, and prevents every contact where one cuts out.
+#[test]
+fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
+    let mut spec = shipped("un-r157").spec().clone();
+    spec.clauses.iter_mut().flat_map(|clause| &mut clause.tests).for_each(|test| test.margins.clear());
+    let suite = Suite::new(spec).unwrap();
+    for estimator in EstimatorKind::ALL {
+        let result = run(&suite, &[named("competent-human")], estimator).unwrap();
+        for (_, test) in result.tests() {
+            let tested = &test.controllers[0];
+            if test.name.starts_with("cut-in") {
+                let brakes = |run: &ReferenceRun| {
+                    run.driver == "competent-human" && run.prevention == Prevention::Collides
+                };
+                assert!(tested.failed.iter().all(|failed| failed.references.iter().any(brakes)), "{}", test.name);
+            } else if test.name == "cut-out" {
+                assert!(tested.verdict.is_passed(), "{estimator:?}: {:?}", tested.verdict);
+            }
+        }
+    }
 }
 
 /// Delayed braking against a vehicle that cuts in Δv slower touches within Δv / (2 b) + τ of a collision; the driver decides at the

@@ -15,6 +15,8 @@ use crate::reach::{Dimension, Reach, Source};
 /// Of the vehicles of a reach the one under test.
 const UNDER_TEST: usize = 1;
 
+const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
+
 /// What a statement is about, in words, and nothing of what it claims.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scope {
@@ -24,8 +26,10 @@ pub struct Scope {
     pub has_afterwards: bool,
     /// The scenario, box or space, and how it is bound to it.
     pub about: String,
-    /// Each vehicle present, front to rear, with where it may start and what it does or may do.
+    /// Each vehicle of the claim but those behind, front to rear, with where it may start and what it does or may do.
     pub vehicles: Vec<String>,
+    /// What the claim says of vehicles behind the last one under test; none where the claim has no such place.
+    pub behind: Option<String>,
     /// Within which limits else.
     pub limits: Vec<String>,
 }
@@ -61,6 +65,20 @@ impl Certificate {
         scope
     }
 
+    /// Returns the scope of a claim about a scenario that has `left_out` vehicles more behind than the claim.
+    #[must_use]
+    pub fn scope_beside(&self, accepted: Option<&Accepted>, left_out: usize) -> Scope {
+        let mut scope = accepted.map_or_else(|| self.scope(), |accepted| self.scope_of(accepted));
+        let vehicles = if left_out == 1 { "vehicle" } else { "vehicles" };
+        let is_followed = self.statement.scene().is_some_and(|scene| scene.follower.is_some());
+        scope.behind = match (scope.behind.filter(|_| is_followed), left_out) {
+            (behind, 0) => Some(behind.unwrap_or_else(|| NO_VEHICLE_BEHIND.to_owned())),
+            (Some(behind), _) => Some(format!("{behind}\nfarther behind: {left_out} {vehicles}, not part of the claim")),
+            (None, _) => Some(format!("behind: {left_out} {vehicles}, not part of the claim")),
+        };
+        scope
+    }
+
     fn about(&self) -> String {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // Whoever wrote the file chose the name: nothing in it may steer a terminal.
@@ -81,7 +99,7 @@ impl Certificate {
 impl fmt::Display for Scope {
     /// Some lines, none of them empty.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { horizon_s, has_afterwards, about, vehicles, limits } = self;
+        let Self { horizon_s, has_afterwards, about, vehicles, behind, limits } = self;
         writeln!(out, "about {about}")?;
         match horizon_s {
             Some(f64::INFINITY) => write!(out, "for ever")?,
@@ -89,13 +107,18 @@ impl fmt::Display for Scope {
             Some(horizon_s) => write!(out, "for {horizon_s} s from the start and no longer")?,
             None => write!(out, "for how long is not said")?,
         }
-        vehicles.iter().chain(limits).try_for_each(|line| write!(out, "\n{line}"))
+        vehicles.iter().chain(behind).chain(limits).try_for_each(|line| write!(out, "\n{line}"))
     }
 }
 
 /// A number, or the ends of a range.
 fn range(of: Interval) -> String {
     if of.low() == of.high() { of.low().to_string() } else { format!("{} to {}", of.low(), of.high()) }
+}
+
+/// A scope without its subject and without vehicles behind.
+fn scope(horizon_s: Option<f64>, vehicles: Vec<String>, limits: Vec<String>) -> Scope {
+    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, behind: None, limits }
 }
 
 fn of_scene(scene: &Scene) -> Scope {
@@ -119,7 +142,7 @@ fn of_scene(scene: &Scene) -> Scope {
             start(*position_m, *speed_mps)
         )
     }));
-    vehicles.push(match &scene.follower {
+    let behind = match &scene.follower {
         Some(follower) => format!(
             "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
             start(follower.position_m, follower.speed_mps),
@@ -127,10 +150,10 @@ fn of_scene(scene: &Scene) -> Scope {
             follower.reaction_steps,
             follower.ttc_s
         ),
-        None => "behind: nobody".to_owned(),
-    });
+        None => "behind: no vehicle is part of the claim".to_owned(),
+    };
     let limits = vec![format!("{} steps of {} s", scene.steps, scene.step_s)];
-    Scope { horizon_s: Some(scene.horizon_s()), has_afterwards: false, about: String::new(), vehicles, limits }
+    Scope { behind: Some(behind), ..scope(Some(scene.horizon_s()), vehicles, limits) }
 }
 
 fn of_kernel(kernel: &Kernel) -> Scope {
@@ -141,12 +164,12 @@ fn of_kernel(kernel: &Kernel) -> Scope {
     let vehicles = vec![
         format!("ahead: never brakes harder than {c} m/s², and does not reverse"),
         format!("own: can brake at {b} m/s² from every decision on"),
-        "behind: not considered".to_owned(),
     ];
     let limits = vec![format!(
         "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag nor delay"
     )];
-    Scope { horizon_s: Some(f64::INFINITY), has_afterwards: false, about: String::new(), vehicles, limits }
+    let behind = Some("behind: not considered".to_owned());
+    Scope { behind, ..scope(Some(f64::INFINITY), vehicles, limits) }
 }
 
 fn of_runs(registration: &Registration) -> Scope {
@@ -166,7 +189,7 @@ fn of_runs(registration: &Registration) -> Scope {
     }
     let (runs, seed, failure) = (registration.runs, of("seed"), of("failure"));
     let limits = vec![format!("{runs} runs drawn with seed {seed}; a failure is: {failure}")];
-    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, limits }
+    scope(horizon_s, vehicles, limits)
 }
 
 /// Which network drives.
@@ -197,7 +220,7 @@ fn of_reach(claim: &Reach) -> Scope {
         }
         None => format!("brakes at {} m/s² from {onset_s} s on", of(Dimension::LeaderBrakeMps2)),
     };
-    let mut vehicles = vec![
+    let vehicles = vec![
         format!("leader: {} m ahead, {} m/s, {leader_brakes}", of(Dimension::GapAheadM), of(Dimension::LeaderSpeedMps)),
         format!(
             "under test: {} m/s, driven by the {}",
@@ -205,27 +228,27 @@ fn of_reach(claim: &Reach) -> Scope {
             network(&claim.policy_sha256, claim.source.as_ref())
         ),
     ];
-    let behind = |how: String| {
+    let followed = |how: String| {
         let [gap_m, speed_mps] = [Dimension::GapBehindM, Dimension::FollowerSpeedMps].map(of);
         format!("behind: {gap_m} m behind, {speed_mps} m/s, {how}")
     };
     let brake_mps2 = of(Dimension::FollowerBrakeMps2);
-    vehicles.push(match (claim.follower_ttc_s, &claim.follower_law) {
+    let behind = match (claim.follower_ttc_s, &claim.follower_law) {
         (Some(ttc_s), _) => {
-            behind(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
+            followed(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
         }
         (None, Some(law)) => {
             let accel_mps2 = law.max_accel_mps2();
-            behind(format!("{law}; it brakes at up to {brake_mps2} and accelerates at up to {accel_mps2} m/s²"))
+            followed(format!("{law}; it brakes at up to {brake_mps2} and accelerates at up to {accel_mps2} m/s²"))
         }
-        (None, None) => "behind: nobody".to_owned(),
-    });
+        (None, None) => NO_VEHICLE_BEHIND.to_owned(),
+    };
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let limits = vec![format!(
         "{} steps of {} s; what is observed is off by {largest:e} at most (m, m/s, m/s²)",
         claim.steps, claim.step_s
     )];
-    Scope { horizon_s: Some(claim.horizon_s()), has_afterwards: false, about: String::new(), vehicles, limits }
+    Scope { behind: Some(behind), ..scope(Some(claim.horizon_s()), vehicles, limits) }
 }
 
 fn of_cruise(claim: &Cruise) -> Scope {
@@ -240,6 +263,5 @@ fn of_cruise(claim: &Cruise) -> Scope {
         ),
     ];
     let limits = vec![format!("x' = v, v' = γ, γ' = -2 γ + 2 a - {drag} v² for both, γ = 0 at the start")];
-    let horizon_s = Some(cruise::PERIODS as f64 * cruise::PERIOD_S);
-    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, limits }
+    scope(Some(cruise::PERIODS as f64 * cruise::PERIOD_S), vehicles, limits)
 }

@@ -4,7 +4,7 @@ use crumple_verify::reach::{Cell, Law};
 use crumple_verify::{Certificate, Interval, Registration, Statement};
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
-use crumple_world::scenario::{Driver, built_in, file};
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, RampBrake, built_in, file};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -123,7 +123,7 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
     assert_eq!(code(&crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
     let said = crumple(folder.path(), &["check", "short.json"]);
     assert_eq!(code(&said), 0, "{}", stdout(&said));
-    for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: nobody"] {
+    for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"] {
         assert!(stdout(&said).contains(words), "{words}: {}", stdout(&said));
     }
 
@@ -151,7 +151,7 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
             "in 100.00 % of the box's volume",
             " m for 0.1 s, with nobody behind",
             "for 0.1 s from the start and no longer",
-            "behind: nobody",
+            "behind: no vehicle\n",
             about,
         ] {
             assert!(stdout(&said).contains(words), "{name}: {words}: {}", stdout(&said));
@@ -340,6 +340,34 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     assert!(stdout(&refuted).contains("falsified"), "{}", stdout(&refuted));
     let about = crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
     assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
+
+    // Every script that brakes within the limit is one that it speaks of, and of each other one it says why not.
+    made("3.0", "three.json", "1");
+    let with_leader = |driver: Driver| {
+        let paper = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
+        std::fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
+        let said = crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
+        (code(&said), stdout(&said))
+    };
+    let pieces = |accel_mps2: [f64; 3]| {
+        Driver::Profile(LeadProfile::Pieces(Pieces {
+            from_s: vec![1.0, 2.0, 3.0],
+            accel_mps2: accel_mps2.to_vec(),
+        }))
+    };
+    let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
+    for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
+        let (_, said) = with_leader(driver);
+        assert!(said.contains("is about paper-1"), "{said}");
+    }
+    for (driver, why) in [
+        (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
+        (pieces([-3.0, 0.1, 0.0]), "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up"),
+        (Driver::Controller(ControllerSpec::named("idm").unwrap()), "the leader must be scripted"),
+    ] {
+        let (code, said) = with_leader(driver);
+        assert!(code == 1 && said.contains("is NOT about paper-1: ") && said.contains(why), "{said}");
+    }
 
     // What is wrong is one line with file, line and field.
     for (field, ranges, line, problem) in [

@@ -1,5 +1,8 @@
 //! `avoid`, `check` and `worst-case` as a user meets them.
 
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, built_in, file};
+
 use super::{assert_refused, code, crumple, folder, objects, stdout};
 
 #[test]
@@ -52,6 +55,26 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
     assert!(stdout(&checked).contains("whatever is done, some gap gets as small as 9.19"), "{}", stdout(&checked));
     let other = crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
     assert_eq!(code(&other), 1, "{other:?}");
+}
+
+/// A bound says nothing of a follower that its scene leaves out, and `check` says that the follower exists.
+#[test]
+fn vehicles_that_a_bound_leaves_out_are_counted() {
+    let folder = folder();
+    let followed = |vehicles: usize, name: &str| {
+        let paper = built_in("paper-2").unwrap().edited(|spec| {
+            spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named("idm").unwrap());
+            spec.vehicles.truncate(vehicles);
+        });
+        std::fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
+        let said = crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
+        assert_eq!(code(&said), 0, "{said:?}");
+        stdout(&crumple(folder.path(), &["check", name]))
+    };
+    let said = followed(3, "three.json");
+    assert!(said.contains("  behind: 1 vehicle, not part of the claim\n"), "{said}");
+    let said = followed(2, "two.json");
+    assert!(said.contains("  behind: no vehicle\n"), "{said}");
 }
 
 #[test]

@@ -226,9 +226,17 @@ fn how_far_a_claim_reaches_is_said() {
         "scenario `by hand`, SHA-256 ",
         "leader: front bumper at 3 m, 0 m/s",
         "brakes at up to 8 and accelerates at up to 3 m/s²",
-        "behind: nobody",
+        "behind: no vehicle is part of the claim",
         "10 steps of 0.1 s",
     ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    for (left_out, words) in [
+        (0, "\nbehind: no vehicle\n"),
+        (1, "\nbehind: 1 vehicle, not part of the claim\n"),
+        (2, "\nbehind: 2 vehicles, not part of the claim\n"),
+    ] {
+        let said = unavoidable().scope_beside(None, left_out).to_string();
         assert!(said.contains(words), "{words}: {said}");
     }
     let accepted = check(&unavoidable()).unwrap().to_string();

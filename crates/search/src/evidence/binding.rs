@@ -6,10 +6,11 @@
 
 use std::path::Path;
 
-use crumple_verify::reach::Actor;
+use crumple_verify::reach::{Actor, Dimension};
 use crumple_verify::{Certificate, Reach, Registration, Statement};
 
 use super::reach::BoxSpec;
+use super::script::{self, ScriptBeyondLimit};
 use super::starts::Starts;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crate::worst_case::{Family, FamilyError, Ranges, is_about, is_exactly};
@@ -61,6 +62,37 @@ impl From<FileError> for Unbound {
     }
 }
 
+/// Why a claim is not about a scenario.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Elsewhere {
+    /// Its scene, or what the scene leaves out, differs.
+    #[error("the statement is about other vehicles, a longer or shorter time, or another space")]
+    OtherScene,
+    /// The scenario has vehicles or drivers that no such claim is about.
+    #[error(transparent)]
+    Scenario(#[from] super::InvalidBox),
+    /// The leader's script is none that the claim speaks of.
+    #[error(transparent)]
+    Script(#[from] ScriptBeyondLimit),
+    /// Steps, duration or the driver behind differ.
+    #[error("its step, its duration or its follower's driver differs from the statement")]
+    OtherRun,
+    /// The policy is missing, or asks for more than the vehicle under test can do.
+    #[error("its vehicle under test cannot do all that the policy asks for")]
+    OtherLimits,
+    /// A number of its start lies outside the box.
+    #[error("its {field} is {value}, outside {} to {}", range[0], range[1])]
+    Outside {
+        /// The number, as the statement names it, with its unit.
+        field: &'static str,
+        /// Its value in the scenario.
+        value: f64,
+        /// The smallest and the largest value of the statement.
+        range: [f64; 2],
+    },
+}
+
 /// Checks that the numbers of a statement are those of the texts that it is bound to. A policy's file is needed for a statement about
 /// one.
 ///
@@ -73,7 +105,7 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
         let carried = &certificate.provenance.scenario_sha256;
         let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
         let claimed = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(|one| hash(one) == *carried);
-        let is_of_it = |scenario: &Scenario| lies_within(certificate, scenario, policy);
+        let is_of_it = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
         return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(other_scene()) };
     }
     match &certificate.statement {
@@ -93,22 +125,43 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
     }
 }
 
-/// Whether a scenario is one of those that a claim is about. For a claim about a box of starts, its own start has to be in the box
-/// and all else the same, but for the braking of a leader that the claim lets brake as it likes: that has to be within the limit.
+/// Checks that a scenario is one of those that a claim is about. For a claim about a box of starts, its own start has to be in the box
+/// and all else the same. Of a leader that the claim lets brake as it likes, the script has to keep within the limit.
+///
+/// # Errors
+/// [`Elsewhere`] says what keeps the claim from being about it.
+pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> Result<(), Elsewhere> {
+    let Statement::Reach(claim) = &certificate.statement else {
+        return if is_about(certificate, scenario) { Ok(()) } else { Err(Elsewhere::OtherScene) };
+    };
+    let limit_mps2 = claim.leader_brakes_at_most_mps2;
+    let starts = Starts::from_scenario(scenario, limit_mps2)?;
+    if let (Some(limit_mps2), Some(leader)) = (limit_mps2, scenario.vehicles().first()) {
+        let horizon_s = scenario.spec().step_s * scenario.steps() as f64;
+        script::keeps_within(leader, limit_mps2, horizon_s)?;
+    }
+    if !is_same_run(claim, &starts) {
+        return Err(Elsewhere::OtherRun);
+    }
+    if !may_drive(policy, &starts) {
+        return Err(Elsewhere::OtherLimits);
+    }
+    let outside = Dimension::ALL.into_iter().find_map(|dimension| {
+        let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
+        let is_inside = outer.contains(inner.low()) && outer.contains(inner.high());
+        let field = dimension.field();
+        (!is_inside).then(|| Elsewhere::Outside { field, value: inner.low(), range: [outer.low(), outer.high()] })
+    });
+    outside.map_or(Ok(()), Err)
+}
+
+/// Counts the vehicles at the rear of a certificate's own scenario that its scene leaves out; none where the certificate has no scene or
+/// holds no scenario.
 #[must_use]
-pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> bool {
-    let Statement::Reach(claim) = &certificate.statement else { return is_about(certificate, scenario) };
-    Starts::of(scenario).is_ok_and(|starts| {
-        // A leader that brakes as scripted is one of those that brake as they like, if the limit is not less.
-        let all = claim.scripts();
-        let contains = |dimension| {
-            let (outer, inner) = (all.get(dimension), starts.ranges.get(dimension));
-            outer.contains(inner.low()) && outer.contains(inner.high())
-        };
-        is_same_run(claim, &starts)
-            && may_drive(policy, &starts)
-            && crumple_verify::reach::Dimension::ALL.into_iter().all(contains)
-    })
+pub fn left_out(certificate: &Certificate) -> Option<usize> {
+    let scene = certificate.statement.scene()?;
+    let in_scene = 1 + scene.egos.len() + usize::from(scene.follower.is_some());
+    scenario_of(certificate).ok()?.vehicles().len().checked_sub(in_scene)
 }
 
 fn differs(field: &'static str, problem: &'static str) -> Unbound {

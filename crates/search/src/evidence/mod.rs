@@ -20,9 +20,10 @@ mod rate_shard;
 mod reach;
 mod record;
 mod rerun;
+mod script;
 mod starts;
 
-pub use binding::{Unbound, bound, lies_within};
+pub use binding::{Elsewhere, Unbound, bound, left_out, lies_within};
 pub use block::CountedBlock;
 pub use cruise::{CruiseError, CruisePlan, Proved, Sampled};
 pub use interval::RateInterval;

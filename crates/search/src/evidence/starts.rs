@@ -5,7 +5,7 @@ use crumple_verify::reach::{AccAeb, Idm, Law, Ranges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
 
 /// The field of a box that lets the leader brake as it likes.
 const LEADER_LIMIT: &str = "leader_brakes_at_most_mps2";
@@ -32,11 +32,22 @@ impl Starts {
     /// # Errors
     /// [`InvalidBox`] if the scenario has more to it than the checker knows of.
     pub(super) fn new(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        if let Some(limit_mps2) = spec.leader_brakes_at_most_mps2 {
+            within_limit(limit_mps2, scenario.usable_brake_mps2(0), &spec.ranges)?;
+        }
+        Self::from_valid_limit(scenario, spec)
+    }
+
+    fn from_valid_limit(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let wrong = |why: &str| InvalidBox::field("scenario", why);
         let vehicles = scenario.vehicles();
         let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
-        let Driver::Profile(LeadProfile::Brake(brake)) = &leader.driver else {
-            return Err(wrong("the leader must brake at a constant rate"));
+        let led = spec.leader_brakes_at_most_mps2;
+        let script = match (&leader.driver, led) {
+            (Driver::Profile(LeadProfile::Brake(brake)), None) => Some(brake),
+            (_, None) => return Err(wrong("the leader must brake at a constant rate")),
+            (Driver::Profile(_), Some(_)) => None,
+            (_, Some(_)) => return Err(wrong("the leader must be scripted")),
         };
         let is_plain = vehicles.iter().all(|v| {
             v.acceleration_noise_mps2 == 0.0
@@ -62,19 +73,16 @@ impl Starts {
         let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
         let behind = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
         let given = &spec.ranges;
-        let led = spec.leader_brakes_at_most_mps2;
-        if let Some(limit_mps2) = led {
-            within_limit(limit_mps2, scenario.usable_brake_mps2(0), given)?;
-        }
-        let of_script = |range, value: f64| if led.is_some() { Interval::ZERO } else { or(range, value) };
-        let onset_s = of_script(given.onset_s, brake.onset_s);
+        let of_script =
+            |range, value: fn(&Brake) -> f64| script.map_or(Interval::ZERO, |brake| or(range, value(brake)));
+        let onset_s = of_script(given.onset_s, |brake| brake.onset_s);
         let ranges = Ranges {
             gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
             gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
             leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
             ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
             follower_speed_mps: behind(given.follower_speed_mps, |v| v.speed_mps),
-            leader_brake_mps2: of_script(given.leader_brake_mps2, brake.rate_mps2),
+            leader_brake_mps2: of_script(given.leader_brake_mps2, |brake| brake.rate_mps2),
             follower_brake_mps2: or(
                 given.follower_brake_mps2,
                 rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
@@ -97,12 +105,13 @@ impl Starts {
         })
     }
 
-    /// The one start of a scenario.
+    /// Returns the one start of a scenario, with its leader's script, or without it as one of those that brake as they like within a limit.
     ///
     /// # Errors
     /// [`InvalidBox`], likewise.
-    pub(super) fn of(scenario: &Scenario) -> Result<Self, InvalidBox> {
-        Self::new(scenario, &BoxSpec::around(&scenario.spec().name, RangesSpec::default()))
+    pub(super) fn from_scenario(scenario: &Scenario, leader_brakes_at_most_mps2: Option<f64>) -> Result<Self, InvalidBox> {
+        let point = BoxSpec::around(&scenario.spec().name, RangesSpec::default());
+        Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
     }
 
     /// What the vehicle under test can do, in m/s².

@@ -8,9 +8,12 @@ use crumple_world::scenario::{
 use super::figure::Parameter;
 use super::spec::{Lead, TestSpec};
 
-/// When the vehicle ahead begins to brake, and when vehicles cut in and out, in seconds: at once. Whoever drove before would come to it
-/// at a speed and a gap that the clause does not state.
+/// When the vehicle ahead begins to brake and when vehicles cut in, in seconds: at once. A controller that drove before would come to
+/// another speed and gap than the clause states.
 const ONSET_S: f64 = 0.0;
+
+/// When vehicles cut out, in seconds: after one step, so that a controller has seen the vehicle that it follows.
+const LEAVES_S: f64 = STEP_S;
 
 /// How long a scenario goes on after the vehicles would have met, or the one ahead stands, in seconds.
 const REST_S: f64 = 20.0;
@@ -80,8 +83,9 @@ impl TestSpec {
             }
             Some(Lead::CutOut) => {
                 let mut lead = steady(self.gap_m(point, own_mps), own_mps);
-                lead.leaves = Some(LaneChange::At(ONSET_S));
-                (vec![steady(lead.position_m + closing_s * own_mps, 0.0), lead], closing_s)
+                lead.leaves = Some(LaneChange::At(LEAVES_S));
+                let meets_s = LEAVES_S + closing_s;
+                (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
             }
             Some(Lead::Slower) => {
                 let lead_mps = si(Parameter::LeadSpeed);

@@ -1,68 +1,138 @@
-//! The careful and competent human driver of UN Regulation No. 157, for car following.
+//! The competent and careful human driver of UN Regulation No. 157.
+//!
+//! The driver holds its speed until it perceives a risk. From then on it coasts for 0.75 s, builds braking up at 12.65 m/s³ and holds
+//! 0.774 g to standstill. These equations are those of `CC_react` in the JRC's published implementation (repository ec-jrc/JRC-FSM,
+//! commit 01b05c2, `utility/models.py`; `CC_rt`, `CC_release_deceleration`, `CC_min_jerk`, `CC_max_deceleration` in
+//! `utility/vehicle.py`). Times and braking are those of UN R157, original version and 01 series, performance models, table 1.
+//!
+//! The risks:
+//! - **The vehicle ahead brakes.** The JRC's car following reacts from the first instant of braking, however soft.
+//! - **A slower vehicle is ahead** at a time to collision of at most 2 s, for example because it has cut in (`CC_critical_ttc`).
+//! - **The vehicle ahead cuts out**, followed within a time gap of 2 s (`CC_distance`), and reveals a slower one.
+//!
+//! The simulator has no lateral motion: a vehicle is beside the lane or in it. The driver's 0.4 s of risk evaluation begins when a
+//! vehicle is 0.375 m off the centre of its lane (table 1). At 1.8 m/s of lateral speed it ends after 0.375 + 0.72 m = 1.1 m, that is when
+//! a vehicle 1.9 m wide from the middle of a lane 3.5 m wide has come 0.3 m into the next lane. There UN R157, 5.2.5.2, begins to count.
+//! The driver therefore reacts as soon as a vehicle is in the lane.
 
 use super::reaction::{Noticed, Ramp, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
-use crate::observation::Observation;
+use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
+/// Difference between the observed and the expected gap from which on another vehicle is ahead, in metres: vehicles are longer, and
+/// estimated gaps jump by less.
+const OTHER_VEHICLE_M: f64 = 1.0;
+
 settings! {
-    /// Settings of the careful and competent human driver (UN R157, car following).
+    /// Settings of the competent and careful human driver of UN R157.
     CompetentHumanSettings {
-        /// Braking of the vehicle ahead beyond which a risk is there, in m/s², positive.
+        /// Braking of the vehicle ahead that is a risk at once, in m/s², positive (UN R157, deceleration scenario: 5 m/s²).
         risk_brake_mps2: 5.0, 0.0..=30.0, 0.0..=9.0;
-        /// Time to perceive the risk, in seconds.
-        risk_perception_s: 0.4, 0.0..=10.0, 0.0..=1.0;
-        /// Time from perceiving it to the beginning of braking, in seconds.
+        /// Speed that the vehicle ahead loses beyond coasting, or by which a revealed vehicle is slower, until that is a risk, in m/s. The
+        /// JRC's code has none; 0.5 is seven standard deviations of an estimated speed.
+        risk_speed_mps: 0.5, 0.0..=100.0, 0.1..=2.0;
+        /// Time to perceive that the vehicle ahead brakes, in seconds. UN R157, table 1, says 0.4, the JRC's code 0.
+        risk_perception_s: 0.0, 0.0..=10.0, 0.0..=1.0;
+        /// Time to collision up to which a slower vehicle ahead is a risk, in seconds (UN R157, cut-in scenario: 2 s).
+        risk_ttc_s: 2.0, 0.0..=100.0, 0.5..=4.0;
+        /// Time gap up to which it is a risk that the vehicle ahead cuts out, in seconds (UN R157, cut-out scenario: 2 s).
+        risk_time_gap_s: 2.0, 0.0..=100.0, 0.5..=4.0;
+        /// Time from perceiving the risk to the beginning of braking, in seconds (UN R157, table 1).
         reaction_s: 0.75, 0.0..=10.0, 0.0..=2.0;
-        /// Deceleration between perceiving the risk and braking, in m/s², positive: the foot is off the pedal.
+        /// Deceleration between perceiving the risk and braking, in m/s², positive: the foot is off the pedal (JRC code).
         coasting_mps2: 0.4, 0.0..=30.0, 0.0..=1.0;
-        /// How fast braking builds up, in m/s³.
+        /// Jerk at which braking builds up, in m/s³ (UN R157, table 1: 0.774 g within 0.6 s).
         jerk_mps3: 12.65, 0.1..=10_000.0, 1.0..=50.0;
-        /// Braking that is held, in m/s², positive (0.774 g).
+        /// Braking that is held, in m/s², positive (UN R157, table 1: 0.774 g).
         brake_mps2: 0.774 * STANDARD_GRAVITY_MPS2, 0.0..=30.0, 0.0..=9.0;
     }
 }
 
-/// Holds its speed. From the moment that the vehicle ahead brakes harder than a threshold it takes a time to perceive the risk,
-/// a time to react during which it coasts, builds braking up at a limited jerk, and brakes to standstill.
-///
-/// It is a model of one situation: a vehicle that is slower or stands, without braking, is no risk to it.
+/// A driver that holds its speed until it perceives a risk, then coasts, builds braking up at a limited jerk, and brakes to standstill.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompetentHuman {
     settings: CompetentHumanSettings,
-    coasts_after_steps: u32,
-    brakes_after_steps: u32,
-    noticed: Noticed,
+    step_s: f64,
+    perception_steps: u32,
+    reaction_steps: u32,
+    followed: Option<Followed>,
+    /// Steps until the foot leaves the pedal; none without a risk.
+    releases_in_steps: Option<u32>,
+    released: Noticed,
     braking: Ramp,
+}
+
+/// The vehicle ahead at the last step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Followed {
+    gap_m: f64,
+    /// Its gap at the next step if no vehicle changes the lane.
+    next_gap_m: f64,
+    /// Its speed if it had coasted at most, in m/s.
+    coasting_mps: f64,
 }
 
 impl BuiltIn for CompetentHuman {
     const NAME: &'static str = "competent-human";
-    const SUMMARY: &'static str = "reference driver after UN R157: brakes at 0.774 g from 1.15 s after the vehicle ahead brakes harder than 5 m/s²";
+    const SUMMARY: &'static str = "reference driver after UN R157: brakes at 0.774 g from 0.75 s after the vehicle ahead brakes, cuts in within 2 s, or cuts out";
     const ROLE: Role = Role::Reference;
     type Settings = CompetentHumanSettings;
     type Driver = Self;
 
     fn start(settings: &CompetentHumanSettings, ego: &Ego, _seed: u64) -> Self {
-        let coasts_after_steps = whole_steps(settings.risk_perception_s, ego.step_s);
         Self {
             settings: settings.clone(),
-            coasts_after_steps,
-            brakes_after_steps: coasts_after_steps.saturating_add(whole_steps(settings.reaction_s, ego.step_s)),
-            noticed: Noticed::default(),
+            step_s: ego.step_s,
+            perception_steps: whole_steps(settings.risk_perception_s, ego.step_s),
+            reaction_steps: whole_steps(settings.reaction_s, ego.step_s),
+            followed: None,
+            releases_in_steps: None,
+            released: Noticed::default(),
             braking: Ramp::new(settings.coasting_mps2, settings.jerk_mps3, ego.step_s),
         }
+    }
+}
+
+impl CompetentHuman {
+    /// Returns the steps after which the foot leaves the pedal because of what is ahead now; none without a risk.
+    #[inline]
+    fn risk(&mut self, speed_mps: f64, ahead: &Neighbour) -> Option<u32> {
+        let CompetentHumanSettings { risk_brake_mps2, risk_speed_mps, risk_ttc_s, risk_time_gap_s, .. } = self.settings;
+        let coasted_mps = self.settings.coasting_mps2 * self.step_s;
+        let before = self.followed;
+        let appeared_m = before.map(|before| ahead.gap_m - before.next_gap_m);
+        let same = before.filter(|_| appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= OTHER_VEHICLE_M));
+        let closing_mps = speed_mps - ahead.speed_mps;
+        let coasting_mps = same.map_or(ahead.speed_mps, |same| ahead.speed_mps.max(same.coasting_mps - coasted_mps));
+        self.followed =
+            Some(Followed { gap_m: ahead.gap_m, next_gap_m: ahead.gap_m - closing_mps * self.step_s, coasting_mps });
+
+        let cuts_out = before.is_some_and(|before| before.gap_m <= risk_time_gap_s * speed_mps + OTHER_VEHICLE_M)
+            && appeared_m.is_some_and(|appeared_m| appeared_m > OTHER_VEHICLE_M)
+            && closing_mps > risk_speed_mps;
+        let is_near = closing_mps > 0.0 && ahead.gap_m <= risk_ttc_s * closing_mps;
+        let brakes = ahead.acceleration_mps2 < -risk_brake_mps2 || coasting_mps - ahead.speed_mps > risk_speed_mps;
+        if cuts_out || is_near { Some(0) } else { brakes.then_some(self.perception_steps) }
     }
 }
 
 impl Controller for CompetentHuman {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let is_risky = seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.settings.risk_brake_mps2);
-        Ok(match self.noticed.steps(is_risky) {
-            Some(steps) if steps >= self.brakes_after_steps => -self.braking.towards(self.settings.brake_mps2),
-            Some(steps) if steps >= self.coasts_after_steps => -self.settings.coasting_mps2,
-            _ => 0.0,
+        let risk = match &seen.ahead {
+            Some(ahead) => self.risk(seen.speed_mps, ahead),
+            None => {
+                self.followed = None;
+                None
+            }
+        };
+        let left = self.releases_in_steps.map(|steps| steps.saturating_sub(1));
+        self.releases_in_steps = left.into_iter().chain(risk).min();
+        Ok(match self.released.steps(self.releases_in_steps == Some(0)) {
+            Some(steps) if steps >= self.reaction_steps => -self.braking.towards(self.settings.brake_mps2),
+            Some(_) => -self.settings.coasting_mps2,
+            None => 0.0,
         })
     }
 }
@@ -72,36 +142,93 @@ mod tests {
     use super::super::tests::{EGO, behind, stopping_distance_m};
     use super::*;
 
+    fn start(settings: &CompetentHumanSettings) -> CompetentHuman {
+        CompetentHuman::start(settings, &EGO, 0)
+    }
+
     /// v τ + v₁ T - c T²/2 with coasting c over T, then a ramp of jerk j from c to b, then v₂²/(2 b). Braking is held over
     /// each step at its mean: speeds are exact, and each of the n steps of the ramp is j dt³/12 longer than the ramp itself.
     #[test]
     fn stops_within_the_distance_of_its_closed_form() {
-        let settings = CompetentHumanSettings { brake_mps2: 0.4 + 12.65 * 0.57, ..Default::default() };
-        let CompetentHumanSettings { risk_perception_s: tau, reaction_s: t, coasting_mps2: c, jerk_mps3: j, .. } =
-            settings;
-        for v in [14.0_f64, 22.0, 36.1] {
-            let v1 = v - c * t;
-            let rise_s = (settings.brake_mps2 - c) / j;
-            let v2 = v1 - c * rise_s - j * rise_s * rise_s / 2.0;
-            let ramp_m = v1 * rise_s - c * rise_s * rise_s / 2.0 - j * rise_s.powi(3) / 6.0;
-            let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
-            let expected_m = v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
-            let driver = CompetentHuman::start(&settings, &EGO, 0);
-            let found_m = stopping_distance_m(driver, v, |speed_mps| behind(speed_mps, 90.0, 10.0, -5.01));
-            assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+        for risk_perception_s in [0.0, 0.4] {
+            let settings =
+                CompetentHumanSettings { risk_perception_s, brake_mps2: 0.4 + 12.65 * 0.57, ..Default::default() };
+            let CompetentHumanSettings {
+                risk_perception_s: tau, reaction_s: t, coasting_mps2: c, jerk_mps3: j, ..
+            } = settings;
+            for v in [14.0_f64, 22.0, 36.1] {
+                let v1 = v - c * t;
+                let rise_s = (settings.brake_mps2 - c) / j;
+                let v2 = v1 - c * rise_s - j * rise_s * rise_s / 2.0;
+                let ramp_m = v1 * rise_s - c * rise_s * rise_s / 2.0 - j * rise_s.powi(3) / 6.0;
+                let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
+                let expected_m =
+                    v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
+                let found_m = stopping_distance_m(start(&settings), v, |speed_mps| behind(speed_mps, 90.0, 10.0, -5.01));
+                assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
+            }
         }
     }
 
     #[test]
-    fn reaches_its_full_braking_exactly_and_sees_no_risk_in_less() {
+    fn reaches_its_full_braking_exactly_and_perceives_no_risk_in_steady_traffic() {
         let settings = CompetentHumanSettings::default();
-        let mut driver = CompetentHuman::start(&settings, &EGO, 0);
+        let mut driver = start(&settings);
         for _ in 0..1000 {
-            assert_eq!(driver.decide(&behind(20.0, 5.0, 0.0, -5.0)).unwrap(), 0.0, "not harder than 5 m/s²");
+            assert_eq!(driver.decide(&behind(20.0, 25.0, 20.0, -5.0)).unwrap(), 0.0, "not harder than 5 m/s²");
         }
-        let commands = [0; 200].map(|_| driver.decide(&behind(20.0, 30.0, 20.0, -5.1)).unwrap());
-        assert_eq!(commands[39..=114].iter().filter(|&&command| command == -0.4).count(), 75);
-        assert_eq!((commands[39], commands[199]), (0.0, -settings.brake_mps2));
+        let commands = [0; 200].map(|_| driver.decide(&behind(20.0, 25.0, 20.0, -5.1)).unwrap());
+        assert_eq!(commands[..75], [-0.4; 75]);
+        assert_eq!(commands[199], -settings.brake_mps2);
         assert!(commands.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401));
+    }
+
+    /// A vehicle that cuts in is a risk at a time to collision of 2 s, and one that cuts out within 2 s and reveals a slower one.
+    #[test]
+    fn a_changed_vehicle_ahead_is_a_risk_where_the_regulation_says() {
+        let reacts = |seen: &[Observation]| {
+            let mut driver = start(&CompetentHumanSettings::default());
+            seen.iter().map(|seen| driver.decide(seen).unwrap()).any(|command| command < 0.0)
+        };
+        let steady = |gap_m: f64| behind(20.0, gap_m, 20.0, 0.0);
+        assert!(!reacts(&[steady(300.0), behind(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
+        assert!(reacts(&[steady(300.0), behind(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
+        assert!(reacts(&[steady(40.0), behind(20.0, 200.0, 0.0, 0.0)]), "cuts out before a vehicle that stands");
+        assert!(!reacts(&[steady(45.0), behind(20.0, 200.0, 0.0, 0.0)]), "was followed at more than 2 s");
+        assert!(!reacts(&[steady(40.0), behind(20.0, 200.0, 19.8, 0.0)]), "reveals a vehicle about as fast");
+        assert!(!reacts(&[behind(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
+    }
+
+    /// A vehicle ahead that brakes softly is a risk once it has lost 0.5 m/s beyond coasting; one that only coasts is none.
+    #[test]
+    fn soft_braking_is_a_risk_and_coasting_is_none() {
+        for (mps2, reacts) in [(-0.39, false), (-0.5, true), (-1.0, true)] {
+            let mut driver = start(&CompetentHumanSettings::default());
+            let mut has_reacted = false;
+            for step in 0..600 {
+                let front_mps = 20.0 + mps2 * 0.01 * f64::from(step);
+                has_reacted |= driver.decide(&behind(20.0, 40.0, front_mps, mps2)).unwrap() < 0.0;
+            }
+            assert_eq!(has_reacted, reacts, "{mps2} m/s²");
+        }
+    }
+
+    /// On the JRC's grid of car following, 0.05 to 0.95 g at 12 to 128 km/h and a time gap of 2 s, no vehicle collides. The
+    /// JRC's own code says the same (`comparison_car_following.py`, 1121 runs).
+    #[test]
+    fn collides_nowhere_on_the_published_grid_of_car_following() {
+        for (kmph, hundredths_g) in (12..130).step_by(2).flat_map(|v| (5..100).step_by(5).map(move |g| (v, g))) {
+            let (v, brake_mps2) = (f64::from(kmph) / 3.6, f64::from(hundredths_g) / 100.0 * 9.81);
+            let (mut own, mut front, mut gap_m) = (v, v, 2.0 * v);
+            let mut driver = start(&CompetentHumanSettings::default());
+            while own > 0.0 {
+                let front_mps2 = if front > 0.0 { -brake_mps2 } else { 0.0 };
+                let command = driver.decide(&behind(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
+                let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
+                gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
+                (own, front) = (next_own, next_front);
+                assert!(gap_m > 0.0, "{kmph} km/h behind {brake_mps2} m/s²: {gap_m}");
+            }
+        }
     }
 }

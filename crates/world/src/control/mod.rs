@@ -26,7 +26,7 @@ macro_rules! with_controllers {
                 Idm,
                 /// Adaptive cruise control with emergency braking.
                 AccAeb,
-                /// Reference driver: the careful and competent human of UN R157, for car following.
+                /// Reference driver: the competent and careful human of UN R157.
                 CompetentHuman,
                 /// Reference driver: the simple model of UN R157.
                 R157Simple,

@@ -1,0 +1,185 @@
+//! Scripted leaders among those that brake as they like within a limit.
+
+use crumple_verify::Interval;
+use crumple_world::scenario::{Driver, LeadProfile, Recorded, VehicleSpec};
+
+/// Why a leader's script is none of a leader that brakes within a limit, never speeds up and never reverses.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScriptBeyondLimit {
+    /// A controller decides.
+    #[error("its leader is not scripted")]
+    NotScripted,
+    /// The script accelerates.
+    #[error("its leader's script `{script}` accelerates at {mps2} m/s², and the statement's leader never speeds up")]
+    SpeedsUp {
+        /// The name of the script's kind.
+        script: &'static str,
+        /// Its largest acceleration, in m/s².
+        mps2: f64,
+    },
+    /// The script brakes harder.
+    #[error("its leader's script `{script}` brakes at {mps2} m/s², and the statement's leader at {limit_mps2} m/s² at most")]
+    BrakesHarder {
+        /// The name of the script's kind.
+        script: &'static str,
+        /// Its hardest braking, in m/s², positive.
+        mps2: f64,
+        /// That of the statement.
+        limit_mps2: f64,
+    },
+    /// The recording begins at another speed than the vehicle.
+    #[error("its leader drives at {speed_mps} m/s at the start, and its recording at {recorded_mps} m/s")]
+    OtherSpeed {
+        /// The vehicle's speed, in m/s.
+        speed_mps: f64,
+        /// The recorded one, in m/s.
+        recorded_mps: f64,
+    },
+}
+
+/// Checks that a scripted leader accelerates at every time of the scenario at a rate from -`limit_mps2` to 0.
+///
+/// What a script asks for over a step is a mean of what it asks for within it, in real numbers. The simulator rounds that, as it rounds
+/// the motion of a leader with the plain script `brake`: by far less than the 10⁻⁹ m and m/s that every reach allows for.
+pub(super) fn keeps_within(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64) -> Result<(), ScriptBeyondLimit> {
+    let Driver::Profile(profile) = &leader.driver else { return Err(ScriptBeyondLimit::NotScripted) };
+    let [lowest, highest] = match profile {
+        LeadProfile::Recorded(recorded) => {
+            let (speed_mps, recorded_mps) = (leader.speed_mps, recorded.speed_at_mps(0.0));
+            if speed_mps != recorded_mps {
+                return Err(ScriptBeyondLimit::OtherSpeed { speed_mps, recorded_mps });
+            }
+            slopes_mps2(recorded, horizon_s)
+        }
+        LeadProfile::Pieces(pieces) => {
+            let pieces = pieces.from_s.iter().zip(&pieces.accel_mps2).take_while(|(from_s, _)| **from_s <= horizon_s);
+            hull(pieces.map(|(_, &mps2)| [mps2; 2]))
+        }
+        LeadProfile::ConstantSpeed | LeadProfile::Brake(_) | LeadProfile::RampBrake(_) | LeadProfile::BrakeToSpeed(_) => {
+            profile.acceleration_range_mps2()
+        }
+    };
+    let script = profile.name();
+    if highest > 0.0 {
+        Err(ScriptBeyondLimit::SpeedsUp { script, mps2: highest })
+    } else if -lowest <= limit_mps2 {
+        Ok(())
+    } else {
+        Err(ScriptBeyondLimit::BrakesHarder { script, mps2: -lowest, limit_mps2 })
+    }
+}
+
+/// The lowest and the highest slope of recorded speeds, 0 included, rounded outward, in m/s².
+fn slopes_mps2(recorded: &Recorded, horizon_s: f64) -> [f64; 2] {
+    let samples: Vec<[f64; 2]> = recorded.time_s.iter().zip(&recorded.speed_mps).map(|(&t, &v)| [t, v]).collect();
+    let pairs = samples.iter().zip(samples.iter().skip(1)).take_while(|([from_s, _], _)| *from_s <= horizon_s);
+    hull(pairs.map(|(from, to)| {
+        let [duration_s, change_mps] = [0, 1].map(|place| difference(to[place], from[place]));
+        let slope_mps2 = change_mps.low() / duration_s.low();
+        let is_exact = [duration_s, change_mps].iter().all(|one| one.low() == one.high())
+            && slope_mps2.mul_add(duration_s.low(), -change_mps.low()) == 0.0;
+        let slope = if is_exact { Interval::point(slope_mps2) } else { change_mps.over(duration_s) };
+        [slope.low(), slope.high()]
+    }))
+}
+
+/// The difference of two numbers, rounded outward unless it is exact, which the error of Knuth's sum of two numbers tells.
+fn difference(of: f64, from: f64) -> Interval {
+    let nearest = of - from;
+    let virtually = nearest - of;
+    let error = (of - (nearest - virtually)) + (-from - virtually);
+    if error == 0.0 { Interval::point(nearest) } else { Interval::point(of) - Interval::point(from) }
+}
+
+/// The smallest range that holds 0 and all of these.
+fn hull(ranges: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
+    ranges.fold([0.0, 0.0], |[low, high]: [f64; 2], range| [low.min(range[0]), high.max(range[1])])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::{Brake, BrakeToSpeed, Pieces, RampBrake, VehicleClass};
+
+    const HORIZON_S: f64 = 10.0;
+    const SPEED_MPS: f64 = 20.0;
+
+    fn led(profile: LeadProfile) -> Result<(), ScriptBeyondLimit> {
+        keeps_within(&VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::Profile(profile)), 3.0, HORIZON_S)
+    }
+
+    fn pieces(from_s: &[f64], accel_mps2: &[f64]) -> LeadProfile {
+        LeadProfile::Pieces(Pieces { from_s: from_s.to_vec(), accel_mps2: accel_mps2.to_vec() })
+    }
+
+    fn recorded(time_s: &[f64], speed_mps: &[f64]) -> LeadProfile {
+        LeadProfile::Recorded(Recorded { time_s: time_s.to_vec(), speed_mps: speed_mps.to_vec() })
+    }
+
+    /// Scripts that brake at 3 m/s² at most.
+    fn within() -> Vec<LeadProfile> {
+        let (onset_s, rate_mps2) = (1.004, 3.0);
+        vec![
+            LeadProfile::ConstantSpeed,
+            LeadProfile::Brake(Brake { onset_s, rate_mps2 }),
+            LeadProfile::RampBrake(RampBrake { onset_s, rate_mps2, ramp_s: 0.3, release_s: 0.25 }),
+            LeadProfile::RampBrake(RampBrake { onset_s, rate_mps2, ramp_s: 0.0, release_s: 0.0 }),
+            LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps: 7.0 }),
+            LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps: 30.0 }),
+            pieces(&[], &[]),
+            pieces(&[0.5, 1.003, 2.0, 4.0], &[-3.0, 0.0, -1.0, -3.0]),
+            // Speeds up after the end.
+            pieces(&[0.5, 10.001], &[-3.0, 3.0]),
+            recorded(&[0.5, 2.5, 4.0, 5.0], &[20.0, 14.0, 14.0, 13.0]),
+            recorded(&[0.0, 0.1, 0.2], &[20.0, 19.75, 19.75]),
+            recorded(&[0.0, 9.0, 10.001, 10.002], &[20.0, 20.0, 20.0, 5.0]),
+        ]
+    }
+
+    #[test]
+    fn scripts_within_a_limit_are_those_of_a_leader_that_brakes_as_it_likes() {
+        for profile in within() {
+            assert_eq!(led(profile.clone()), Ok(()), "{profile:?}");
+            // The mean over each step, as the simulator asks for it, is within the limit but for rounding.
+            let mut speed_mps = SPEED_MPS;
+            for step in 0..1000 {
+                let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
+                let mps2 = profile.acceleration_mps2(from_s, to_s, speed_mps);
+                assert!((-3.0 - 1e-9..=1e-9).contains(&mps2) || speed_mps == 0.0, "{profile:?} at {from_s} s: {mps2}");
+                speed_mps = (speed_mps + mps2 * 0.01).max(0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn scripts_beyond_a_limit_are_refused_with_their_reason() {
+        let harder = 3.0_f64.next_up();
+        let brakes = |script, mps2| Err(ScriptBeyondLimit::BrakesHarder { script, mps2, limit_mps2: 3.0 });
+        let speeds_up = |script, mps2| Err(ScriptBeyondLimit::SpeedsUp { script, mps2 });
+        let brake = Brake { onset_s: 1.0, rate_mps2: harder };
+        let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.5, ramp_s: 1.0, release_s: 0.0 };
+        let to_speed = BrakeToSpeed { onset_s: 0.0, rate_mps2: 4.0, final_speed_mps: 19.0 };
+        for (profile, refused) in [
+            (LeadProfile::Brake(brake), brakes("brake", harder)),
+            (LeadProfile::RampBrake(ramp), brakes("ramp-brake", 3.5)),
+            (LeadProfile::BrakeToSpeed(to_speed), brakes("brake-to-speed", 4.0)),
+            (pieces(&[0.0, 1.0, 2.0], &[-1.0, -3.1, -1.0]), brakes("pieces", 3.1)),
+            (pieces(&[0.0, 9.999], &[-3.0, 1e-3]), speeds_up("pieces", 1e-3)),
+            (recorded(&[0.0, 1.0, 1.5], &[20.0, 17.0, 15.0]), brakes("recorded", 4.0)),
+            (recorded(&[0.0, 1.0, 1.5], &[20.0, 17.0, 17.5]), speeds_up("recorded", 1.0)),
+            (
+                recorded(&[0.0, 1.0], &[19.0, 19.0]),
+                Err(ScriptBeyondLimit::OtherSpeed { speed_mps: 20.0, recorded_mps: 19.0 }),
+            ),
+        ] {
+            assert_eq!(led(profile.clone()), refused, "{profile:?}");
+        }
+        // 20 - 19.7 in 0.1 s is harder than 3 m/s² as 64-bit numbers are.
+        let rounded = led(recorded(&[0.0, 0.1], &[20.0, 19.7]));
+        assert!(matches!(rounded, Err(ScriptBeyondLimit::BrakesHarder { mps2, .. }) if mps2 > 3.0 && mps2 < 3.000_001));
+        let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);
+        assert_eq!(keeps_within(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
+        assert!(keeps_within(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S).is_err());
+    }
+}
