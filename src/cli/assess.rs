@@ -2,19 +2,20 @@
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-use std::{fs, io, process};
+use std::{fs, process};
 
 use clap::Args;
 use serde::Serialize;
 
 use super::output;
+use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, interrupt, progress, subject};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, MOST_EVIDENCE_BYTES, Made,
-    MergedEvidence, REPORT, Store, StoreError, assess, files_of_evidence, gather_shard,
+    AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, Made, MergedEvidence, REPORT,
+    Store, StoreError, assess, gather_shard,
 };
-use crumple_search::disk::{self, DiskError, Files};
+use crumple_search::disk::DiskError;
 use crumple_search::program;
 use crumple_search::shard::{MissingShards, Shard};
 use crumple_search::work;
@@ -60,7 +61,8 @@ pub(super) struct Assess {
     /// What to assess; built-in defaults without it
     #[arg(value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Folder for the report; made if it is not there
+    /// Folder for the report, made if it is not there; `report.sha256` lists its files. Files that crumple wrote there and that have not
+    /// changed are replaced or removed, all others stay
     #[arg(long, value_name = "DIR", default_value = "crumple-report")]
     out: PathBuf,
     /// Say what got better, worse, new and gone since an earlier assessment
@@ -99,7 +101,7 @@ impl Assess {
         if against.is_none() && plan.wants_earlier() {
             return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
         }
-        let folder = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+        let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let kept = self.out.join(EVIDENCE);
         let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
         interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
@@ -111,6 +113,8 @@ impl Assess {
                 self.out.display()
             )));
         }
+        // Reports of earlier builds have no listing, but a manifest.
+        let folder = OutputFolder::listed(&self.out, "report.sha256")?.knowing(work::digests_in(&self.out, REPORT));
         let store = Store::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.without_identity() {
             let note = format!(
@@ -121,29 +125,9 @@ impl Assess {
         }
         let bar = progress::bar("assessing", plan.runs(), quiet);
         let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
-        let assessment = assessment.made(made(folder, identity, begun.elapsed()));
+        let assessment = assessment.made(made(source, identity, begun.elapsed()));
         bar.finish_and_clear();
-        let earlier = disk::read(&self.out.join("assessment.json"), MOST_EVIDENCE_BYTES);
-        let earlier = earlier.ok().flatten().map(|json| files_of_evidence(&String::from_utf8_lossy(&json)));
-        let earlier = earlier.unwrap_or_default();
-        let mut files = Files::default();
-        let rendered = assessment.files().map_err(Failure::input)?;
-        for (name, contents) in &rendered {
-            let path = self.out.join(name);
-            let folder = path.parent().unwrap_or(&self.out);
-            // It may have come there meanwhile.
-            link_between(&self.out, &path).map_or(Ok(()), |link| Err(leads_elsewhere(link)))?;
-            fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
-            files.stage(&path, contents)?;
-        }
-        files.commit()?;
-        for name in earlier.iter().filter(|name| !rendered.iter().any(|(known, _)| known == *name)) {
-            let path = self.out.join(name);
-            if !path.starts_with(&self.out) || link_between(&self.out, &path).is_some() {
-                continue;
-            }
-            fs::remove_file(&path).or_else(missing_is_fine).map_err(DiskError::at(&path))?;
-        }
+        folder.write(&assessment.files().map_err(Failure::input)?, EarlierFiles::Go)?;
         let (pieces, reused) = store.reused();
         let again =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
@@ -263,11 +247,6 @@ fn leads_elsewhere(folder: &Path) -> Failure {
     Failure::Input(format!("{}: {problem}", folder.display()))
 }
 
-/// The first folder between `out` and a file below it that leads elsewhere.
-fn link_between<'a>(out: &Path, path: &'a Path) -> Option<&'a Path> {
-    path.ancestors().skip(1).take_while(|folder| *folder != out).find(|folder| folder.is_symlink())
-}
-
 /// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.
 fn commit(folder: &Path) -> Option<String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -301,10 +280,6 @@ fn made(folder: &Path, program_sha256: &str, took: Duration) -> Made {
         machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
         duration_s: took.as_secs(),
     }
-}
-
-fn missing_is_fine(error: io::Error) -> io::Result<()> {
-    if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
 impl From<StoreError> for Failure {

@@ -1,15 +1,14 @@
 //! `crumple export`: scenarios and runs for other simulators.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_report::export::openscenario::{self, OpenScenario};
-use crumple_search::disk::{DiskError, Files};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::Scenario;
@@ -50,7 +49,8 @@ pub(super) struct Export {
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
     after_contact: AfterContact,
-    /// Folder for the files, made if it is not there; files of these names are replaced, and others stay
+    /// Folder for the files, made if it is not there; `exported.sha256` lists them. Files that crumple wrote there and that have not changed
+    /// are replaced, all others stay
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
     /// How to print
@@ -91,6 +91,7 @@ impl Export {
             let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
             return Err(Failure::Input(problem.to_owned()));
         }
+        let folder = OutputFolder::listed(&self.out, "exported.sha256")?;
         let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for given in &self.scenarios {
             let scenario = subject::scenario(given)?;
@@ -101,23 +102,18 @@ impl Export {
             }
             let road = format!("{name}.xodr");
             let made = self.export(&scenario, &road, quiet)?;
-            let path = self.out.join(format!("{name}.xosc"));
+            let storyboard = format!("{name}.xosc");
             exported.push(Exported {
                 scenario: scenario.spec().name.clone(),
-                openscenario: path.display().to_string(),
+                openscenario: self.out.join(&storyboard).display().to_string(),
                 opendrive: self.out.join(&road).display().to_string(),
                 vehicles: scenario.vehicles().len(),
                 vertices: made.vertices,
             });
-            written.extend([(path, made.scenario), (self.out.join(&road), made.road)]);
+            written.extend([(storyboard, made.scenario), (road, made.road)]);
             names.push(name);
         }
-        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
-        let mut files = Files::default();
-        for (path, contents) in &written {
-            files.stage(&output::place(path)?, contents)?;
-        }
-        files.commit()?;
+        folder.write(&written, EarlierFiles::Stay)?;
         let line = |one: &Exported| {
             format!("{}: {} vehicles, {} vertices\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
         };

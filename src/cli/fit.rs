@@ -7,7 +7,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
-use super::import::{Leading, min_brake, picture, stage_unless_edited};
+use super::import::{Leading, min_brake, picture};
+use super::output_folder::stage_unless_edited;
 use super::simulate::{Format, ending_in};
 use super::{Failure, output};
 use crumple_report::figures;

@@ -2,18 +2,18 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::Failure;
+use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::Format;
 use super::{output, simulate};
 use crumple_report::draw::{PNG_SCALE, Svg};
 use crumple_report::figures;
-use crumple_search::disk::{self, DiskError, Files};
+use crumple_search::disk::{DiskError, Files};
 use crumple_world::quoted::Terminal;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
@@ -215,13 +215,9 @@ impl Import {
             };
             return Failure::gate_first(Err(Failure::Gate(none)), printed);
         }
-        fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
-        let mut files = Files::default();
-        for scenario in &imported.scenarios {
-            let path = self.out.join(&scenario.file_name);
-            stage_unless_edited(&mut files, &path, scenario.toml.as_bytes(), self.force)?;
-        }
-        files.commit()?;
+        let file = |scenario: &ImportedScenario| (scenario.file_name.clone(), scenario.toml.clone().into_bytes());
+        let files: Vec<_> = imported.scenarios.iter().map(file).collect();
+        OutputFolder::unlisted(&self.out, self.force).write(&files, EarlierFiles::Stay)?;
         let others = self.other_scenarios(&imported)?;
         if others > 0 {
             let out = self.out.display();
@@ -249,22 +245,5 @@ impl Import {
         let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
         Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
-    }
-}
-
-/// Stages a file that is not there, or holds the same; one that holds something else is an error unless with `force`.
-pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, bytes: &[u8], force: bool) -> Result<(), Failure> {
-    let place = output::place(path)?;
-    let found = match disk::read(&place, bytes.len() as u64) {
-        Err(error) if error.source.kind() == ErrorKind::FileTooLarge => Some(Vec::new()),
-        found => found?,
-    };
-    match found {
-        Some(found) if found == bytes => Ok(()),
-        Some(_) if !force => {
-            let problem = "is there and says something else: use --force to overwrite it, or another name";
-            Err(Failure::Input(format!("{}: {problem}", path.display())))
-        }
-        _ => Ok(files.stage(&place, bytes)?),
     }
 }

@@ -23,6 +23,7 @@ mod interrupt;
 mod list;
 mod merge;
 mod output;
+mod output_folder;
 mod own_file;
 mod plan;
 mod preset;

@@ -8,6 +8,7 @@ use crumple_verify::{Accepted, Certificate, WorkLimit, check_within};
 use serde::Serialize;
 
 use super::output;
+use super::output_folder::stage;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
 use crumple_search::evidence::{BoxSpec, Doubts, InvalidBox, Partition, ReachPlan, Shares};
@@ -183,14 +184,15 @@ struct Found<'a> {
     doubts: Doubts,
 }
 
-/// Writes a certificate, and beside it the file of the network that it names.
+/// Writes a certificate, and beside it the file of the network that it names. Another network in that place stays.
 pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), Failure> {
     let mut files = Files::default();
     let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
     files.stage(&output::place(path)?, text.as_bytes())?;
     if let Some((name, _)) = certificate.policy() {
         let beside = path.parent().unwrap_or(Path::new("")).join(name);
-        files.stage(&output::place(&beside)?, network)?;
+        let other = "is another network than that of the certificate: move it, or write the certificate elsewhere";
+        stage(&mut files, &beside, network, |_| false, other)?;
     }
     Ok(files.commit()?)
 }

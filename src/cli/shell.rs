@@ -1,12 +1,12 @@
 //! `crumple completions` and `crumple man`: what a shell and `man` want to know of the command line.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Command};
 use clap_complete::Shell;
 
+use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{Failure, output};
-use crumple_search::disk::{DiskError, Files};
 
 /// Print what a shell needs to complete commands and options
 #[derive(Args)]
@@ -33,7 +33,8 @@ impl Completions {
 /// Write manual pages: `man -l DIR/crumple.1`
 #[derive(Args)]
 pub(super) struct Man {
-    /// Folder for them, one for each command
+    /// Folder for them, one for each command; `crumple-man.sha256` lists them. Pages that crumple wrote there and that have not changed are
+    /// replaced, all other files stay
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -42,26 +43,24 @@ impl Man {
     pub(super) fn run(self, mut commands: Command, quiet: bool) -> Result<(), Failure> {
         // Before, subcommands go by their last name alone.
         commands.build();
-        std::fs::create_dir_all(&self.out).map_err(DiskError::at(&self.out))?;
-        let mut files = Files::default();
-        let pages = write_pages(commands, &self.out, &mut files)?;
-        files.commit()?;
-        output::note(&format!("wrote {pages} pages to {}", self.out.display()), quiet);
+        let mut pages = Vec::new();
+        render_pages(commands, &mut pages)?;
+        OutputFolder::listed(&self.out, "crumple-man.sha256")?.write(&pages, EarlierFiles::Go)?;
+        output::note(&format!("wrote {} pages to {}", pages.len(), self.out.display()), quiet);
         Ok(())
     }
 }
 
-/// The pages of a command and of all below it, and how many they are.
-fn write_pages(mut command: Command, folder: &Path, files: &mut Files) -> Result<usize, Failure> {
+/// Renders the pages of a command and of all below it, by the names of their files.
+fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), Failure> {
     let below: Vec<Command> =
         command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
-    // What `--help` says: the synopsis that a page would make of the options tells neither what they take nor which must be there.
+    // The usage of `--help`: the synopsis that clap makes of the options says neither what they take nor which are required.
     let usage = command.render_usage().to_string();
     let usage = usage.strip_prefix("Usage:").unwrap_or(&usage).trim().to_owned();
     let page = clap_mangen::Man::new(command.override_usage(usage));
-    let path = folder.join(page.get_filename());
     let mut text = Vec::new();
-    page.render(&mut text).map_err(DiskError::at(&path))?;
-    files.stage(&path, &text)?;
-    below.into_iter().try_fold(1, |pages, command| Ok(pages + write_pages(command, folder, files)?))
+    page.render(&mut text).map_err(Failure::input)?;
+    pages.push((page.get_filename(), text));
+    below.into_iter().try_for_each(|command| render_pages(command, pages))
 }

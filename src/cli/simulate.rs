@@ -10,9 +10,10 @@ use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
+use crumple_search::falsify::counterexample::ExpectedFile;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
+use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{
     AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate, simulate_batch,
 };
@@ -57,10 +58,10 @@ pub(super) struct Simulate {
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
     after_contact: AfterContact,
-    /// Draw position, speed and spacing over time
+    /// Draw position, speed and spacing over time; a file there is replaced
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
-    /// Write the motion as a table, one row a sample and vehicle
+    /// Write the motion as a table, one row a sample and vehicle; a file there is replaced
     #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| ending_in(path, ["csv", "parquet"]))]
     trace: Option<PathBuf>,
     /// Say whether this holds, and how robustly: `no contact`, or a formula of signal temporal logic; may be repeated
@@ -143,7 +144,12 @@ impl Simulate {
         if self.spec.is_empty() && matches!(self.expect, Some(Expectation::Satisfied | Expectation::Violated)) {
             return Err(Failure::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
         }
-        let scenarios = self.scenarios.iter().map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
+        // `*.toml` of a folder that version 0.1.0 wrote includes its recorded verdicts.
+        let is_verdicts = |name: &str| {
+            Path::new(name).ends_with(file::EARLIER_EXPECTED) && ExpectedFile::load(Path::new(name)).is_ok()
+        };
+        let names = self.scenarios.iter().filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
+        let scenarios = names.map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
         let options = self.options();
         let runs = scenarios
             .iter()

@@ -51,8 +51,9 @@ A test passes if there is no contact before it ends, or none faster than it allo
 held; both sides of the boundary are simulated. Where a test failed it is said whether each reference driver, who sees the truth, \
 would have prevented it, and, of the first three points, whether anybody could have.
 
-The folder of --out holds `failures.sha256` besides, which lists what a run wrote (`sha256sum -c` checks it). The next run there replaces \
-that, and leaves alone what it does not list or somebody has edited.
+The folder of --out also holds `failures.sha256`, which lists what a run wrote (`sha256sum -c` checks it). The next run there replaces \
+these files. Every other file stays: if crumple did not write it, if it has changed since, or if it is a symbolic link. A run that would \
+have to overwrite such a file writes nothing and ends with exit code 2.
 
 A suite may have 2000 points and a file of 3 MiB. After the document, on a point-mass model in one lane: this is no certification.
 
@@ -238,7 +239,7 @@ impl RunSuite {
             return self.make(&suite, shard, quiet);
         }
         // Known before the work is done.
-        self.out.as_deref().map_or(Ok(()), suite_folder::is_usable)?;
+        self.out.as_deref().map(suite_folder::open).transpose()?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
             suite_folder::write(&result, folder, quiet)?;

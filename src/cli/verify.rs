@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
-use crumple_search::disk;
 use crumple_verify::{Certificate, Statement};
 use serde::Serialize;
 
 use super::checked::{self, Checked};
 use super::output;
+use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::exposed::ExposedRate;
@@ -44,7 +44,8 @@ What is proved are the kernel and, in verify/obligations, the shield's test of a
 errors of what is seen, of the functions that drive and in real numbers. Rounding is paid for by a margin. That noise and an estimator \
 keep their bounds, six standard deviations of the noise, is not proved.")]
 struct Shield {
-    /// Where certificates go
+    /// Folder for the certificates, made if it is not there; `shield.sha256` lists them. Files that crumple wrote there and that have not
+    /// changed are replaced, all others stay
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]
     out: PathBuf,
     /// How to print: for a reader, or one JSON object a certificate, as `crumple check` has it
@@ -159,13 +160,17 @@ impl Verify {
 
 impl Shield {
     fn run(self) -> Result<(), Failure> {
-        disk::make_folder(&self.out)?;
         let (mut text, kernels) = (String::new(), shipped_kernels());
+        let file = |name: &str| format!("{name}.json");
+        let contents = |(name, certificate): &(String, Certificate)| {
+            let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
+            Ok((file(name), text.into_bytes()))
+        };
+        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, Failure>>()?;
+        OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
         let mut all = Vec::new();
         for (name, certificate) in &kernels {
-            let path = self.out.join(format!("{name}.json"));
-            disk::write_json(&path, certificate)?;
-            let checked = Checked::now(&path, certificate);
+            let checked = Checked::now(&self.out.join(file(name)), certificate);
             text += &checked.said()?;
             all.push(checked);
         }

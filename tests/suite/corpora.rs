@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
-use crumple_world::scenario::file::load;
+use crumple_world::scenario::file::{EXPECTED, load};
 
 fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpora/scenarios")
@@ -12,7 +12,7 @@ fn folder() -> PathBuf {
 
 #[test]
 fn every_kept_scenario_still_ends_as_recorded() {
-    let path = folder().join("expected.toml");
+    let path = folder().join(EXPECTED);
     let mut index = ExpectedFile::load(&path).unwrap();
     if std::env::var_os("UPDATE_CORPORA").is_some() {
         for expected in &mut index.expected {
@@ -36,7 +36,7 @@ fn every_kept_scenario_still_ends_as_recorded() {
 /// Whoever it is named after still fails in it, and what convex programming says of it is recorded.
 #[test]
 fn every_kept_scenario_still_has_its_failure_and_its_class() {
-    let index = ExpectedFile::load(&folder().join("expected.toml")).unwrap();
+    let index = ExpectedFile::in_folder(&folder()).unwrap();
     for path in index.scenarios(&folder()) {
         let file = path.file_name().unwrap().to_str().unwrap();
         let own: Vec<_> = index.expected.iter().filter(|expected| expected.scenario == file).collect();
@@ -57,12 +57,12 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
 
 #[test]
 fn every_kept_scenario_is_recorded_and_says_why_it_is_there() {
-    let index = ExpectedFile::load(&folder().join("expected.toml")).unwrap();
+    let index = ExpectedFile::in_folder(&folder()).unwrap();
     let recorded = index.scenarios(&folder());
     let mut kept: Vec<PathBuf> = std::fs::read_dir(folder())
         .unwrap()
         .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|e| e == "toml") && !path.ends_with("expected.toml"))
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
         .collect();
     kept.sort();
     assert_eq!(kept, recorded);

@@ -128,6 +128,8 @@ impl Application {
         let offered = self.offer.campaigns.get(index);
         let offered = offered
             .ok_or_else(|| Refused::invalid("campaign", format!("{} were offered", self.offer.campaigns.len())))?;
+        // A campaign whose files are damaged is not opened in part.
+        offered.read_on()?;
         let look = offered.look();
         let scenario = match (counterexample, evaluation) {
             (Some(place), None) => {

@@ -1,11 +1,13 @@
-//! Connections on which nothing is asked: they make room for others, the longest idle first.
+//! Connections that wait for their client: they make room for others, the longest idle first.
+//!
+//! A connection is idle between requests, and also while a request arrives. A slow client therefore keeps no other client out.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-/// Those that are idle, by when they became so.
+/// Idle connections, in the order in which they became idle.
 #[derive(Debug, Default)]
 pub(crate) struct Idle {
     waiting: Mutex<Waiting>,
@@ -22,7 +24,7 @@ struct Waiting {
 pub(crate) struct Place<'a> {
     idle: &'a Idle,
     end: Arc<Notify>,
-    /// When it became idle; none while it is busy.
+    /// When it became idle; none while a request is being answered.
     since: Mutex<Option<u64>>,
 }
 
@@ -51,12 +53,18 @@ impl Idle {
 }
 
 impl Place<'_> {
-    /// Answers a request, during which it is not given up.
+    /// Waits for an answer. The connection is not given up before the answer is there.
     pub(crate) async fn busy<T>(&self, answer: impl Future<Output = T>) -> T {
         self.leave();
         let answer = answer.await;
-        *lock(&self.since) = Some(self.idle.join(&self.end));
+        self.renew();
         answer
+    }
+
+    /// Moves the connection behind all that are idle.
+    pub(crate) fn renew(&self) {
+        self.leave();
+        *lock(&self.since) = Some(self.idle.join(&self.end));
     }
 
     /// Done once others need its place.

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `offer` | what the page may speak of: the scenarios, controllers and folders it was started with |
 //! | `gate` | who is let in: the token, the host and the origin of a request |
-//! | `idle` | connections on which nothing is asked, which make room for others |
+//! | `idle` | connections that wait for their client, which make room for others |
 //! | `refused` | everything a request can be answered with instead of what it asks for |
 //! | `request` | what the page sends: a scenario and what was changed of it |
 //! | `drawn` | runs of a scenario: verdicts, diagrams, the view from above |

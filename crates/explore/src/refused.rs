@@ -1,5 +1,7 @@
 //! Everything a request can be answered with instead of what it asks for.
 
+use std::time::Duration;
+
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::file::FileError;
 use hyper::StatusCode;
@@ -18,8 +20,8 @@ pub(crate) enum Refused {
     #[error("this is asked for by {0}")]
     Method(&'static str),
     /// The request did not end in time.
-    #[error("the request took longer than {0} s to arrive")]
-    Slow(u64),
+    #[error("the request took longer than {} s to arrive", .0.as_secs_f64())]
+    Slow(Duration),
     /// More than is read.
     #[error("a request may have {0} KiB")]
     TooLong(usize),

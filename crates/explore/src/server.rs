@@ -24,11 +24,12 @@ use tokio::time::{sleep, timeout};
 
 use crate::answer::{Answer, Application};
 use crate::gate::Gate;
-use crate::idle::Idle;
+use crate::idle::{Idle, Place};
 use crate::offer::{Offer, OfferError};
 use crate::refused::Refused;
 
-/// Most connections at once. Beyond that those on which nothing is asked make room; if all are busy, who comes waits.
+/// Most connections at once. Beyond that, the connection that has waited longest for its client makes room for a new one. Only requests
+/// that are being answered keep their place.
 const MOST_CONNECTIONS: usize = 256;
 /// Most bytes of what is asked: a scenario of some minutes of scripted motion.
 const MOST_BYTES: usize = 1 << 20;
@@ -37,8 +38,8 @@ const MOST_HEARD: usize = 32 << 20;
 /// Most bytes of the head of a request, and most headers in it.
 const MOST_HEAD_BYTES: usize = 32 << 10;
 const MOST_HEADERS: usize = 64;
-/// Time in which a request arrives, head and body each, in seconds.
-const PATIENCE_S: u64 = 30;
+/// Time in which the head of a request arrives, and then its body. Clients run on the same machine.
+const PATIENCE: Duration = Duration::from_secs(10);
 /// Time after which is tried again what could not be had.
 const A_MOMENT: Duration = Duration::from_millis(20);
 
@@ -65,6 +66,7 @@ pub struct Server {
     application: Arc<Application>,
     runtime: Runtime,
     interrupt: Interrupt,
+    patience: Duration,
 }
 
 impl fmt::Debug for Server {
@@ -126,7 +128,14 @@ impl Server {
                 Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
                 Poll::Pending => interrupt,
             };
-        Ok(Self { listener, port, application: Arc::new(Application::new(gate, offer)), runtime, interrupt })
+        let application = Arc::new(Application::new(gate, offer));
+        Ok(Self { listener, port, application, runtime, interrupt, patience: PATIENCE })
+    }
+
+    /// Sets the time in which the head of a request arrives, and then its body; 10 s otherwise.
+    #[must_use]
+    pub fn with_patience(self, patience: Duration) -> Self {
+        Self { patience, ..self }
     }
 
     /// The first address, with the token.
@@ -148,7 +157,7 @@ impl Server {
     pub fn run(self) -> Result<(), ServeError> {
         let done = self.runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(self.listener)?;
-            tokio::spawn(accept(listener, self.application));
+            tokio::spawn(accept(listener, self.application, self.patience));
             self.interrupt.await
         });
         // What is still being simulated is of use to nobody.
@@ -157,7 +166,7 @@ impl Server {
     }
 }
 
-async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>) {
+async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>, patience: Duration) {
     let connections = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     let idle = Arc::new(Idle::default());
     loop {
@@ -171,17 +180,14 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
         let (application, idle) = (Arc::clone(&application), Arc::clone(&idle));
         tokio::spawn(async move {
             let place = idle.place();
-            let service = service_fn(|request| {
-                let application = Arc::clone(&application);
-                place.busy(respond(application, request))
-            });
+            let service = service_fn(|request| respond(Arc::clone(&application), request, &place, patience));
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
-                .header_read_timeout(Duration::from_secs(PATIENCE_S))
+                .header_read_timeout(patience)
                 .max_buf_size(MOST_HEAD_BYTES)
                 .max_headers(MOST_HEADERS)
                 .serve_connection(TokioIo::new(stream), service);
-            // Whoever breaks off a connection, or leaves it idle while others wait, hears no more of it.
+            // A connection that made room for another ends without an answer.
             let (mut connection, mut given_up) = (pin!(connection), pin!(place.given_up()));
             poll_fn(|context| match given_up.as_mut().poll(context) {
                 Poll::Ready(()) => Poll::Ready(()),
@@ -200,7 +206,7 @@ async fn room(connections: &Arc<Semaphore>, idle: &Idle) -> Option<OwnedSemaphor
             return Some(permit);
         }
         idle.give_up_oldest();
-        // Those that are busy may be idle soon.
+        // A request that is being answered may end soon.
         if let Ok(permit) = timeout(A_MOMENT, Arc::clone(connections).acquire_owned()).await {
             return permit.ok();
         }
@@ -210,8 +216,11 @@ async fn room(connections: &Arc<Semaphore>, idle: &Idle) -> Option<OwnedSemaphor
 async fn respond(
     application: Arc<Application>,
     request: Request<Incoming>,
+    place: &Place<'_>,
+    patience: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
-    let Answer { status, content_type, body } = handle(application, request).await.unwrap_or_else(Answer::from);
+    let answered = handle(application, request, place, patience).await;
+    let Answer { status, content_type, body } = answered.unwrap_or_else(Answer::from);
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
@@ -221,7 +230,14 @@ async fn respond(
     Ok(response)
 }
 
-async fn handle(application: Arc<Application>, request: Request<Incoming>) -> Result<Answer, Refused> {
+async fn handle(
+    application: Arc<Application>,
+    request: Request<Incoming>,
+    place: &Place<'_>,
+    patience: Duration,
+) -> Result<Answer, Refused> {
+    // The time for which the connection was idle before counts no longer.
+    place.renew();
     let (head, body) = request.into_parts();
     let rest = application.gate.admit(head.uri.path(), &head.headers)?.to_owned();
     if head.method == Method::GET {
@@ -234,13 +250,12 @@ async fn handle(application: Arc<Application>, request: Request<Incoming>) -> Re
     if head.method == Method::POST && !is_json {
         return Err(Refused::NotJson);
     }
-    let body = match timeout(Duration::from_secs(PATIENCE_S), whole(body)).await {
-        Err(_) => return Err(Refused::Slow(PATIENCE_S)),
-        Ok(body) => body?,
-    };
+    let body = timeout(patience, whole(body)).await.map_err(|_| Refused::Slow(patience))??;
     // More than there are threads for wait in line.
-    let answered = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
-    answered
+    let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body));
+    place
+        .busy(answer)
+        .await
         .unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
 }
 

@@ -4,11 +4,16 @@
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_explore::{Offer, OfferedScenario, Server};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Aim, Campaign};
 use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{built_in, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
@@ -28,18 +33,29 @@ fn served() -> &'static Served {
         let wet = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
         let scenarios = vec![OfferedScenario { name: "wet".to_owned(), scenario: wet }];
         let offer = Offer { scenarios, out: Some(out.path().to_owned()), ..Offer::default() };
-        let server = Server::bind(0, offer).unwrap();
-        let (port, address) = (server.port(), server.address());
-        let token =
-            address.strip_prefix(&format!("http://127.0.0.1:{port}/")).unwrap().trim_end_matches('/').to_owned();
-        std::thread::spawn(|| server.run().unwrap());
+        let (port, token) = start(Server::bind(0, offer).unwrap());
         Served { port, token, out }
     })
 }
 
+/// Starts a server. Returns its port and its token.
+fn start(server: Server) -> (u16, String) {
+    let (port, address) = (server.port(), server.address());
+    let token = address.strip_prefix(&format!("http://127.0.0.1:{port}/")).unwrap().trim_end_matches('/').to_owned();
+    std::thread::spawn(|| server.run().unwrap());
+    (port, token)
+}
+
+/// Held by tests that open hundreds of connections, of which a process may have about a thousand.
+static CROWDED: Mutex<()> = Mutex::new(());
+
 /// Sends bytes, and reads status, head and body.
 fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
-    let mut stream = TcpStream::connect(("127.0.0.1", served().port)).unwrap();
+    exchange_at(served().port, request)
+}
+
+fn exchange_at(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     // It may have answered and closed before it has heard all.
     let _ = stream.write_all(request);
@@ -62,10 +78,14 @@ fn request(method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> V
 /// What the page would send, with the token.
 fn post(what: &str, body: &[u8]) -> (u16, Value) {
     let Served { port, token, .. } = served();
+    post_at(*port, token, what, body)
+}
+
+fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
     let host = format!("127.0.0.1:{port}");
     let path = format!("/{token}/api/{what}");
-    let (status, _, answer) =
-        exchange(&request("POST", &path, &[("Host", &host), ("Content-Type", "application/json")], body));
+    let sent = request("POST", &path, &[("Host", &host), ("Content-Type", "application/json")], body);
+    let (status, _, answer) = exchange_at(port, &sent);
     (status, serde_json::from_slice(&answer).unwrap_or(Value::Null))
 }
 
@@ -184,11 +204,96 @@ fn fifty_clients_at_once_lose_nothing() {
 /// More connections than there may be, on which nothing is asked: nobody waits for them.
 #[test]
 fn idle_connections_keep_nobody_out() {
+    let _alone = CROWDED.lock();
     let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", served().port)).unwrap()).collect();
     let begun = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
     assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     drop(idle);
+}
+
+/// A request of which the body is missing but for its first byte.
+fn begun(port: u16, token: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let head = format!(
+        "POST /{token}/api/open HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Type: application/json\r\n\
+         Connection: close\r\nContent-Length: 15\r\n\r\n{{"
+    );
+    stream.write_all(head.as_bytes()).unwrap();
+    stream
+}
+
+/// Sends the rest, and reads the answer.
+fn ended(stream: &mut TcpStream) -> String {
+    stream.write_all(br#""scenario": 0}"#).unwrap();
+    heard(stream)
+}
+
+fn heard(stream: &mut TcpStream) -> String {
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    answer
+}
+
+/// More slow requests than there may be connections. They make room at once, not after a time limit: of them, too, the last ones are
+/// answered.
+#[test]
+fn slow_requests_keep_no_other_client_out() {
+    let _alone = CROWDED.lock();
+    let patience = Duration::from_secs(3600);
+    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_patience(patience));
+    let mut bodies: Vec<_> = (0..130).map(|_| begun(port, &token)).collect();
+    let heads: Vec<_> = (0..130).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
+    heads.iter().for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
+    bodies.extend((0..130).map(|_| begun(port, &token)));
+    for _ in 0..3 {
+        assert!(ended(&mut begun(port, &token)).starts_with("HTTP/1.1 200"));
+    }
+    assert!(ended(bodies.last_mut().unwrap()).starts_with("HTTP/1.1 200"));
+}
+
+#[test]
+fn a_request_that_does_not_arrive_in_time_is_ended() {
+    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_patience(Duration::from_millis(200)));
+    let answer = heard(&mut begun(port, &token));
+    assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
+    let mut head = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    head.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    head.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap();
+    assert!(!heard(&mut head).contains("200 OK"), "the connection ends");
+}
+
+/// The page asks again and again: no later answer shows a campaign without failures.
+#[test]
+fn a_damaged_campaign_is_an_error_in_every_answer() {
+    let campaign = Campaign {
+        controller: ControllerSpec::named("match-leader").unwrap().into(),
+        estimator: EstimatorKind::Truth,
+        space: built_in_space("high-risk").unwrap(),
+        specification: Specification::NoContact,
+        contrast: None,
+        method: Method::Uniform,
+        aim: Aim::Severest,
+        budget: 40,
+        seed: 7,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    campaign.run(folder.path(), false, &mut |_| {}).unwrap();
+    let table = std::fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
+    let mut bytes = std::fs::read(&table).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&table, bytes).unwrap();
+    let offer = Offer { campaigns: vec![folder.path().to_owned()], ..Offer::default() };
+    let (port, token) = start(Server::bind(0, offer).unwrap());
+    for (what, body) in
+        [("campaign", r#"{"campaign": 0}"#), ("open", r#"{"campaign": 0, "counterexample": 0}"#)].repeat(2)
+    {
+        let (status, answer) = post_at(port, &token, what, body.as_bytes());
+        let message = answer["error"]["message"].as_str().unwrap_or_default();
+        assert!(status == 500 && message.ends_with("not as it was written"), "{what}: {status}: {answer}");
+    }
 }
 
 #[test]

@@ -1,13 +1,16 @@
 //! Files that appear whole or not at all, through a loss of power too, and errors that name them.
 
+mod unfinished;
+
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use serde::Serialize;
 use tempfile::TempPath;
+pub use unfinished::{is_unfinished, remove_unfinished};
+pub(crate) use unfinished::{number_of, numbered, remove_all_unfinished};
 
 /// A file or folder that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -26,17 +29,8 @@ impl DiskError {
     }
 }
 
-/// How names of files begin that are not yet in their places.
-pub(crate) const UNFINISHED: &str = ".crumple-unfinished-";
-
-/// Whether a file was being written when the process that did so ended: it may be removed.
-#[must_use]
-pub fn is_unfinished(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(UNFINISHED))
-}
-
 /// Files to be written together. They are first written beside their places and then moved there, so that a failure
-/// leaves nothing half-written.
+/// leaves nothing half-written. Staging removes what earlier processes left unfinished in the same folder.
 #[derive(Default)]
 pub struct Files {
     staged: Vec<Staged>,
@@ -60,17 +54,16 @@ impl Files {
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
         }
         let folder = folder_of(path);
+        if !self.staged.iter().any(|staged| folder_of(&staged.path) == folder) {
+            // A folder that cannot be read may still be written.
+            let _ = remove_unfinished(folder);
+        }
         let stage = || {
             // What cannot be replaced is known before anything is written.
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
-            let mut builder = tempfile::Builder::new();
-            builder.prefix(UNFINISHED);
-            // A temporary file is private; the result should be as readable as any other new file.
-            #[cfg(unix)]
-            builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
-            let mut file = builder.tempfile_in(folder)?;
+            let mut file = unfinished::create(folder)?;
             file.write_all(contents.as_ref())?;
             Ok(file.into_parts())
         };
@@ -111,15 +104,6 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
     let mut files = Files::default();
     files.stage(path, contents)?;
     files.commit()
-}
-
-/// Writes one file of indented JSON, whole or not at all.
-///
-/// # Errors
-/// [`DiskError`] if it cannot be encoded or written.
-pub fn write_json(path: &Path, contents: &impl Serialize) -> Result<(), DiskError> {
-    let text = serde_json::to_string_pretty(contents).map_err(|error| DiskError::at(path)(error.into()))?;
-    write(path, text + "\n")
 }
 
 /// The bytes of a file of at most so many; none if there is no such file.
@@ -190,21 +174,6 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
 /// [`DiskError`] if the folder cannot be read or written.
 pub fn sync_names_beside(path: &Path) -> Result<(), DiskError> {
     sync_folder(folder_of(path))
-}
-
-/// Removes what earlier processes left in a folder, if there is one, of files that they did not finish. Only while no other process
-/// writes there.
-///
-/// # Errors
-/// [`DiskError`] if the folder cannot be read or written.
-pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
-    for entry in unless_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
-        let path = entry.map_err(DiskError::at(folder))?.path();
-        if is_unfinished(&path) {
-            remove(&[path])?;
-        }
-    }
-    Ok(())
 }
 
 /// Removes a folder and all that is in it, if there is one.

@@ -1,5 +1,7 @@
 //! SHA-256, as it stands in files and reports.
 
+use std::io;
+
 use hmac_sha256::Hash;
 
 /// SHA-256 of bytes that come piece by piece.
@@ -29,6 +31,17 @@ impl Sha256 {
     #[must_use]
     pub fn hexadecimal(self) -> String {
         self.finish().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl io::Write for Sha256 {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 

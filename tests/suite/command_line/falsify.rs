@@ -11,7 +11,8 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::RowAccessor;
 use serde_json::Value;
 
-use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
+use super::{assert_refused, code, command, crumple, folder, killed_at_random, names_in, objects, stderr, stdout};
+use crumple_search::falsify::counterexample::ExpectedFile;
 
 /// Every file below a folder, by its path from there.
 fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -239,6 +240,34 @@ fn a_formula_is_falsified_without_a_contact() {
         assert_eq!(code(&replay(formula, "satisfied")), 1);
         assert_eq!(code(&replay("always v1.speed_mps >= 0", "satisfied")), 0);
     }
+}
+
+/// The recorded verdicts beside them are no scenario; version 0.1.0 called that file `expected.toml`.
+#[test]
+fn every_toml_file_beside_counterexamples_is_a_scenario() {
+    let folder = folder();
+    let arguments = ["falsify", "--controller=match-leader", "--space=high-risk", "--budget=40", "--out=found"];
+    let output = crumple(folder.path(), &arguments);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let counterexamples = folder.path().join("found/counterexamples");
+    let files = || {
+        let names = names_in(&counterexamples).into_iter().filter(|name| name.ends_with(".toml"));
+        names.map(|name| format!("found/counterexamples/{name}")).collect::<Vec<_>>()
+    };
+    let simulate = || {
+        let files = files();
+        let files = files.iter().map(String::as_str);
+        let arguments = ["simulate", "--controller=match-leader", "--format=json", "--expect=collision"];
+        let output = crumple(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        objects(&output).len()
+    };
+    let found = files().len();
+    assert!(found > 0 && simulate() == found);
+    fs::rename(counterexamples.join("expected.verdicts"), counterexamples.join("expected.toml")).unwrap();
+    assert_eq!((files().len(), simulate()), (found + 1, found));
+    let recorded = ExpectedFile::in_folder(&counterexamples).unwrap();
+    assert!(recorded.expected.len() >= found);
 }
 
 #[test]

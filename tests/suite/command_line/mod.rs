@@ -5,6 +5,7 @@ mod certificates;
 mod exchange;
 pub(crate) mod falsify;
 mod fit;
+mod output_folders;
 mod outputs;
 mod reports;
 mod retrain;

@@ -5,33 +5,6 @@ use std::path::Path;
 
 use super::{assert_refused, code, crumple, folder, names_in, stderr};
 
-/// The folder of a suite's failures holds those of the last run, and what nobody's run wrote.
-#[test]
-fn failures_of_an_earlier_suite_run_do_not_stay() {
-    let folder = folder();
-    let failures = folder.path().join("failures");
-    let suite = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
-    let run = |controller: &str| {
-        crumple(folder.path(), &["suite", "run", suite, "--controller", controller, "--out", "failures"])
-    };
-    assert_eq!(code(&run("full-throttle")), 0);
-    let listed = names_in(&failures);
-    assert!(listed.len() > 3 && listed.contains(&"failures.sha256".to_owned()), "{listed:?}");
-    assert_eq!(code(&run("full-throttle")), 0);
-    assert_eq!(names_in(&failures), listed);
-    // One that was edited and one that is somebody's own stay, and are named.
-    let edited = listed.iter().find(|name| name.ends_with(".toml")).unwrap();
-    let text = fs::read_to_string(failures.join(edited)).unwrap();
-    fs::write(failures.join(edited), text + "# mine\n").unwrap();
-    fs::write(failures.join("own.toml"), "").unwrap();
-    let passed = run("acc-aeb");
-    assert_eq!(code(&passed), 0);
-    assert_eq!(names_in(&failures), [edited.as_str(), "own.toml"]);
-    assert!(stderr(&passed).contains(" and 1 more: not of this run, and left alone"), "{}", stderr(&passed));
-    fs::write(failures.join("failures.sha256"), "0  ../elsewhere\n").unwrap();
-    assert_refused(&run("acc-aeb"), "failures.sha256:1: is no SHA-256 and the name of a file beside it");
-}
-
 /// A link stays, and what it leads to is written; what is no file is left alone.
 #[cfg(unix)]
 #[test]
@@ -55,67 +28,6 @@ fn single_results_go_through_links_and_into_files_only() {
     fs::write(at("elsewhere/escape.toml"), "old").unwrap();
     assert_eq!(code(&crumple(folder.path(), &["avoid", "paper-1", "--out", "escape.toml"])), 0);
     assert!(at("escape.toml").is_symlink() && fs::read_to_string(at("elsewhere/escape.toml")).unwrap() != "old");
-}
-
-#[test]
-fn an_edited_scenario_is_not_imported_over() {
-    let folder = folder();
-    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
-    let import = |more: &[&str]| {
-        let arguments = [&["import", recording.to_str().unwrap(), "--out", "episodes"], more].concat();
-        crumple(folder.path(), &arguments)
-    };
-    assert_eq!((code(&import(&[])), code(&import(&[]))), (0, 0), "the same again is no edit");
-    let names = names_in(&folder.path().join("episodes"));
-    let first = folder.path().join("episodes").join(&names[0]);
-    let genuine = fs::read_to_string(&first).unwrap();
-    fs::write(&first, genuine.clone() + "# mine\n").unwrap();
-    assert_refused(&import(&[]), &format!("{}: is there and says something else: use --force", names[0]));
-    assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
-    assert_eq!(code(&import(&["--force"])), 0);
-    assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
-}
-
-/// An earlier assessment says which files it left; what is elsewhere is not removed, whatever it says and wherever folders lead.
-#[cfg(unix)]
-#[test]
-fn a_report_removes_nothing_that_is_elsewhere() {
-    use std::os::unix::fs::symlink;
-    let folder = folder();
-    let at = |name: &str| folder.path().join(name);
-    for name in ["mine", "report", "report/scenarios", "report/counterexamples"] {
-        fs::create_dir(at(name)).unwrap();
-    }
-    for name in ["mine/a.toml", "mine/b.toml", "report/scenarios/old.toml"] {
-        fs::write(at(name), "precious").unwrap();
-    }
-    symlink("../../mine", at("report/counterexamples/deep")).unwrap();
-    let absolute = at("mine/a.toml").display().to_string();
-    let listed = [
-        "scenarios/../../mine/a.toml",
-        "counterexamples/deep/b.toml",
-        "counterexamples/./../../mine/a.toml",
-        &format!("scenarios/{absolute}"),
-        &absolute,
-        "scenarios/old.toml",
-    ];
-    let files: Vec<_> = listed.iter().map(|file| serde_json::json!({ "file": file })).collect();
-    fs::write(at("report/assessment.json"), serde_json::json!({ "command_files": files }).to_string()).unwrap();
-    let config = "version = 1\ncontrollers = [\"idm\"]\npaper = false\ndraws = 5\neveryday_draws = 0\nrates.runs = 0\n\
-                  distributions = [\"paper\"]\nsearch = { spaces = [] }\ncertificates = []\n";
-    fs::write(at("a.toml"), config).unwrap();
-    let assess = || crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
-    // However deep: a report would write there, too.
-    assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
-    fs::remove_file(at("report/counterexamples/deep")).unwrap();
-    let made = assess();
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
-    assert!(!at("report/scenarios/old.toml").exists(), "what the report left itself is removed");
-    fs::remove_dir(at("report/scenarios")).unwrap();
-    symlink("../mine", at("report/scenarios")).unwrap();
-    assert_refused(&assess(), "report/scenarios: is a symbolic link");
-    assert_eq!(names_in(&at("mine")), ["a.toml", "b.toml"]);
 }
 
 /// A line of vehicles under test behind a leader that brakes.

@@ -91,8 +91,8 @@ impl OfferedCampaign {
         self.look.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads on for a moment. Whether more is there.
-    fn read_on(&self) -> Result<bool, Refused> {
+    /// Reads on for a moment. Returns whether more is there.
+    pub(crate) fn read_on(&self) -> Result<bool, Refused> {
         let (mut look, until) = (self.look(), Instant::now() + READING);
         loop {
             let is_more = look.go_on(AT_ONCE).map_err(failed)?;

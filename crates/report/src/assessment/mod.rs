@@ -25,7 +25,6 @@ mod work;
 
 use crate::markdown;
 use std::ops::ControlFlow;
-use std::path::{Component, Path};
 
 use maud::Markup;
 use schemars::JsonSchema;
@@ -399,30 +398,6 @@ pub const REPORT: &str = "report of an assessment";
 
 /// The folders of a report that hold files which another report may not have.
 pub const FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
-
-/// The files that stood beside the evidence of an earlier report, by their paths from its folder: counterexamples,
-/// certificates, and what its commands needed. None of what is no such evidence, and no path that leads out of the folder.
-#[must_use]
-pub fn files_of_evidence(json: &str) -> Vec<String> {
-    let evidence: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
-    let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
-    let searches = list(&evidence["searches"]["spaces"]).into_iter().flat_map(|space| list(&space["controllers"]));
-    let failures: Vec<_> = searches.flat_map(|search| list(&search["failures"])).collect();
-    let named = |file: serde_json::Value| file["file"].as_str().map(str::to_owned);
-    let counterexamples =
-        failures.iter().cloned().filter_map(named).flat_map(|file| Failure::beside(&file).into_iter().chain([file]));
-    let others = list(&evidence["proofs"]["certificates"]).into_iter().chain(list(&evidence["command_files"]));
-    let tests = list(&evidence["suites"]["suites"]).into_iter().flat_map(|suite| list(&suite["tests"]));
-    let failed = tests.flat_map(|test| list(&test["outcomes"])).map(|outcome| outcome["worst"].clone());
-    let failed: Vec<_> = failed.collect();
-    let rules = list(&evidence["rules"]["searches"]).into_iter().flat_map(|search| list(&search["controllers"]));
-    let broken = rules.map(|search| search["worst"].clone());
-    let escapes: Vec<_> = failures.iter().chain(&failed).map(|failure| failure["escape"].clone()).collect();
-    let names = counterexamples.chain(others.chain(failed).chain(broken).chain(escapes).filter_map(named));
-    let is_plain = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    let is_own = |name: &String| FOLDERS.iter().any(|folder| name.starts_with(folder)) && is_plain(name);
-    names.filter(is_own).collect()
-}
 
 /// Why a report cannot be written down.
 #[derive(Debug, thiserror::Error)]

@@ -147,6 +147,16 @@ impl Manifest {
         })
     }
 
+    /// Returns the name and SHA-256 of every file that is there as a whole, and of the manifest.
+    pub(super) fn digests(&self) -> Vec<(String, String)> {
+        let own = self.text().map(|text| (MANIFEST.to_owned(), sha256(text)));
+        let files = self.files.iter().filter_map(|(name, state)| match state {
+            FileState::Whole { sha256, .. } => Some((name.clone(), sha256.clone())),
+            FileState::Growing(_) => None,
+        });
+        files.chain(own).collect()
+    }
+
     pub(super) fn names(&self) -> Vec<String> {
         self.files.keys().cloned().collect()
     }
@@ -303,13 +313,12 @@ impl Manifest {
 
     /// Names for files that are to be in the places of others, none of which is in use.
     pub(super) fn unfinished_names(&self) -> impl Iterator<Item = String> + use<> {
-        let numbered = |name: &str| name.strip_prefix(disk::UNFINISHED)?.parse::<u64>().ok();
         let used = self.pending.iter().filter_map(|pending| match pending {
-            Pending::Place { unfinished, .. } => numbered(unfinished),
+            Pending::Place { unfinished, .. } => disk::number_of(unfinished),
             Pending::Remove { .. } => None,
         });
         let first = used.max().map_or(0, |last| last.saturating_add(1));
-        (first..).map(|number| format!("{}{number}", disk::UNFINISHED))
+        (first..).map(disk::numbered)
     }
 
     /// Whether a file is as it is said to be.

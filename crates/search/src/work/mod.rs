@@ -65,6 +65,14 @@ pub fn kind_in(folder: &Path) -> Option<String> {
     Some(Manifest::read(&folder.join(MANIFEST)).ok()??.kind)
 }
 
+/// Returns the name and SHA-256 of every file of work of a kind, `work.json` included, as its manifest states them; nothing without a
+/// manifest that can be read.
+#[must_use]
+pub fn digests_in(folder: &Path, kind: &str) -> Vec<(String, String)> {
+    let manifest = Manifest::read(&folder.join(MANIFEST)).ok().flatten().filter(|manifest| manifest.kind == kind);
+    manifest.map(|manifest| manifest.digests()).unwrap_or_default()
+}
+
 /// What tells work of a kind with a configuration from all other, as this program does it ([`Work::identity`]).
 pub(crate) fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
     let program = program::identity()?;
@@ -350,7 +358,7 @@ impl Work {
         // The second manifest is written before anything is known to be in its folder.
         for folder in ["", generation::PREVIOUS].into_iter().chain(manifest.folders()) {
             if !manifest.includes(folder) {
-                disk::remove_unfinished(&self.path(folder))?;
+                disk::remove_all_unfinished(&self.path(folder))?;
             }
         }
         if let Some(stranger) = manifest.strangers(&self.folder)?.first() {

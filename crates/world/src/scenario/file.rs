@@ -88,14 +88,15 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 ///
 /// # Errors
 /// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than [`MOST_FILES`] of them
-/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EXPECTED`].
+/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
     }
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
-    let is_scenario = |path: &PathBuf| Format::of(path).is_some() && path.file_name() != Some(EXPECTED.as_ref());
+    let is_scenario =
+        |path: &PathBuf| Format::of(path).is_some() && path.file_name() != Some(EARLIER_EXPECTED.as_ref());
     let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(is_scenario).collect();
     files.sort();
     let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();
@@ -107,8 +108,11 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
 
-/// The file of a folder of scenarios that is none: what they ended in when they were recorded.
-pub const EXPECTED: &str = "expected.toml";
+/// Name of the file with the recorded verdicts of a folder of scenarios, in TOML. The ending keeps it out of `*.toml`.
+pub const EXPECTED: &str = "expected.verdicts";
+
+/// Name of this file in version 0.1.0.
+pub const EARLIER_EXPECTED: &str = "expected.toml";
 
 /// Most scenario files of a folder that are read at once.
 pub const MOST_FILES: usize = 10_000;

@@ -171,7 +171,7 @@ impl Failure {
     }
 
     /// The files for other simulators beside that of a counterexample.
-    pub(in crate::assessment) fn beside(file: &str) -> [String; 2] {
+    fn beside(file: &str) -> [String; 2] {
         let stem = file.trim_end_matches(".toml");
         ["xosc", ROAD].map(|extension| format!("{stem}.{extension}"))
     }

@@ -108,8 +108,10 @@ impl Look {
         let most = most.min(MOST_SHOWN.saturating_sub(self.evaluations.len()));
         match &mut self.stage {
             Stage::Finished { finished, parts, .. } => {
-                let Some(name) = parts.pop() else { return Ok(false) };
-                let rows = table::decode(finished.read_bytes(&name)?, &self.terms)?;
+                let Some(name) = parts.last() else { return Ok(false) };
+                // A damaged table stays the next one, so that every later call reports the damage, too.
+                let rows = table::decode(finished.read_bytes(name)?, &self.terms)?;
+                parts.pop();
                 let left = MOST_SHOWN.saturating_sub(self.evaluations.len());
                 for (method, evaluated) in rows.into_iter().take(left) {
                     self.failures.add(method, &evaluated);
@@ -294,6 +296,7 @@ mod tests {
     use crate::falsify::campaign::{Aim, Campaign};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
+    use std::fs;
     use std::ops::ControlFlow;
 
     fn all(look: &mut Look) {
@@ -362,5 +365,35 @@ mod tests {
             }
             assert!(early.counterexample(summary.counterexamples.len()).unwrap().is_none());
         }
+    }
+    /// Every request after the first one, too, and until the table is whole again.
+    #[test]
+    fn damage_stays_visible_as_long_as_it_is_there() {
+        let campaign = Campaign {
+            controller: ControllerSpec::named("match-leader").unwrap().into(),
+            estimator: EstimatorKind::Truth,
+            space: built_in_space("high-risk").unwrap(),
+            specification: Specification::NoContact,
+            contrast: None,
+            method: Method::Uniform,
+            aim: Aim::Severest,
+            budget: 40,
+            seed: 7,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        campaign.run(folder.path(), false, &mut |_| {}).unwrap();
+        let table = fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
+        let whole = fs::read(&table).unwrap();
+        let mut damaged = whole.clone();
+        damaged[whole.len() / 2] ^= 1;
+        fs::write(&table, damaged).unwrap();
+        let mut look = Look::at(folder.path()).unwrap();
+        for _ in 0..3 {
+            let error = look.go_on(1000).unwrap_err().to_string();
+            assert!(error.ends_with("not as it was written"), "{error}");
+        }
+        fs::write(&table, whole).unwrap();
+        all(&mut look);
+        assert_eq!(look.evaluations().len() as u64, look.total());
     }
 }

@@ -7,7 +7,7 @@
 //! | `campaign.toml` | everything that decides the results; its hash names the campaign in the summary |
 //! | `evaluations/part-*.parquet` | every evaluation, as columns |
 //! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found, `escapes/` how those that are avoidable could have been |
-//! | `counterexamples/expected.toml` | the recorded verdict of each of them |
+//! | `counterexamples/expected.verdicts` | the recorded verdict of each of them, in TOML |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
 //! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9`, for the build that wrote it |
 //! | `work.json`, `work.lock` | what all of these are (see [`crate::work`]); locked by the process that works there |

@@ -15,7 +15,7 @@ use crumple_world::sim::{NamedController, UnknownController};
 /// The version of the format of recorded verdicts.
 pub const EXPECTED_VERSION: u32 = 1;
 
-/// The file `expected.toml` beside scenario files: the verdict recorded for each.
+/// The file [`EXPECTED`](file::EXPECTED) beside scenario files: the verdict recorded for each.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExpectedFile {
@@ -111,6 +111,16 @@ pub enum ReplayError {
 }
 
 impl ExpectedFile {
+    /// Reads the recorded verdicts of a folder, under the earlier name, too.
+    ///
+    /// # Errors
+    /// [`FileError`] for a file that cannot be read or parsed.
+    pub fn in_folder(folder: &Path) -> Result<Self, FileError> {
+        let earlier = folder.join(file::EARLIER_EXPECTED);
+        let path = folder.join(file::EXPECTED);
+        Self::load(if !path.exists() && earlier.exists() { &earlier } else { &path })
+    }
+
     /// Reads recorded verdicts.
     ///
     /// # Errors

@@ -164,7 +164,7 @@ impl Recorder<'_> {
         rank(&mut found);
         if !found.is_empty() {
             let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
-            files.insert(0, ("counterexamples/expected.toml".to_owned(), text));
+            files.insert(0, (format!("counterexamples/{}", file::EXPECTED), text));
         }
         Ok((found, files))
     }

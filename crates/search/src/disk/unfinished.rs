@@ -1,0 +1,126 @@
+//! Files beside their places: `.crumple-unfinished-*`, written and not yet moved.
+//!
+//! Two kinds exist. [`Files`](super::Files) gives its files random names and keeps each of them locked until it is moved, so that any
+//! process can tell a file whose writer has ended. [`Work`](crate::work::Work) numbers its files. They belong to the folder of work:
+//! its manifest may announce them, and only a process that holds the lock of that folder removes them.
+
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::Path;
+
+use tempfile::NamedTempFile;
+
+use super::{DiskError, remove, unless_missing};
+
+const PREFIX: &str = ".crumple-unfinished-";
+
+/// Returns whether the name is that of a file that is not yet in its place.
+#[must_use]
+pub fn is_unfinished(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
+}
+
+/// Returns the name of the file with a number, of a folder of work.
+pub(crate) fn numbered(number: u64) -> String {
+    format!("{PREFIX}{number}")
+}
+
+/// Returns the number in the name of such a file.
+pub(crate) fn number_of(name: &str) -> Option<u64> {
+    name.strip_prefix(PREFIX)?.parse().ok()
+}
+
+/// Creates a file with a random name that stays locked while it is open.
+pub(super) fn create(folder: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    // With a letter first, no random name is a number.
+    let prefix = format!("{PREFIX}file-");
+    builder.prefix(&prefix);
+    // A temporary file is private; the result should be as readable as any other new file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
+    loop {
+        let file = builder.tempfile_in(folder)?;
+        let is_locked = !matches!(file.as_file().try_lock(), Err(TryLockError::WouldBlock));
+        // Another process may have removed the file before it was locked. Without locks, no process removes files of others.
+        if is_locked && file.path().exists() {
+            return Ok(file);
+        }
+    }
+}
+
+/// Removes the unfinished files of writers that have ended from a folder, if there is one. Files of living writers stay, and so do those
+/// of a folder of work.
+///
+/// # Errors
+/// [`DiskError`] if the folder cannot be read or written.
+pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
+    remove_those(folder, false)
+}
+
+/// Removes those of the folder of work, too. The caller holds the lock of that folder, and no change is pending.
+///
+/// # Errors
+/// [`DiskError`] if the folder cannot be read or written.
+pub(crate) fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
+    remove_those(folder, true)
+}
+
+fn remove_those(folder: &Path, and_numbered: bool) -> Result<(), DiskError> {
+    for entry in unless_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
+        let path = entry.map_err(DiskError::at(folder))?.path();
+        if !is_unfinished(&path) {
+            continue;
+        }
+        // Held until the file is removed, so that its writer cannot lock it in between.
+        let lock = lock_of_abandoned(&path);
+        if lock.is_some() || and_numbered && is_numbered(&path) {
+            remove(&[path])?;
+        }
+    }
+    Ok(())
+}
+
+fn is_numbered(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| number_of(&name.to_string_lossy()).is_some())
+}
+
+/// Locks a file whose writer has ended; none if the writer still holds the lock, or the file belongs to a folder of work.
+fn lock_of_abandoned(path: &Path) -> Option<File> {
+    let is_plain = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
+    if !is_plain || is_numbered(path) {
+        return None;
+    }
+    // Some file systems lock only what is open for writing.
+    let file = File::options().read(true).write(true).open(path).ok()?;
+    file.try_lock().is_ok().then_some(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::disk::Files;
+
+    /// A file of a writer that was killed carries no lock.
+    #[test]
+    fn the_next_writer_removes_what_no_process_writes_any_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let mut writing = Files::default();
+        writing.stage(&at("other.json"), "alive").unwrap();
+        for name in ["file-a1B2c3", "a1B2c3", "7"] {
+            fs::write(at(&format!("{PREFIX}{name}")), "dead").unwrap();
+        }
+        super::super::write(&at("result.json"), "whole").unwrap();
+        let mut contents: Vec<String> = fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| fs::read_to_string(entry.unwrap().path()).unwrap())
+            .collect();
+        contents.sort();
+        assert_eq!(contents, ["alive", "dead", "whole"], "that of a folder of work stays");
+        writing.commit().unwrap();
+        assert_eq!(fs::read_to_string(at("other.json")).unwrap(), "alive");
+        remove_all_unfinished(folder.path()).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+}

@@ -1,0 +1,189 @@
+//! Results whose file names crumple chooses, in a folder that the user named.
+//!
+//! One rule holds for all of them. crumple writes a file if its place is free, or if crumple wrote the file that is there and that file
+//! has not changed since. Any other file stays, symbolic links are not followed, and if one file may not be written, none is.
+//! A listing in the folder, in the form of `sha256sum`, records what crumple wrote. A file that the user named is not subject to
+//! this rule: see [`output::place`].
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io;
+use std::path::{Component, Path, PathBuf};
+
+use super::{Failure, output};
+use crumple_search::disk::{self, DiskError, Files};
+use crumple_world::digest::{Sha256, sha256};
+use crumple_world::scenario::file;
+
+/// Folder with results.
+#[derive(Debug)]
+pub(super) struct OutputFolder {
+    path: PathBuf,
+    /// Name of the listing; none where only equal files, and with `force` any plain file, may be there.
+    listing: Option<&'static str>,
+    force: bool,
+    /// SHA-256 of every file that crumple wrote there, by name. During a change there are two.
+    recorded: BTreeMap<String, BTreeSet<String>>,
+}
+
+/// Files of earlier commands in the same folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum EarlierFiles {
+    Stay,
+    /// The new files replace all of them. Those that have changed since stay.
+    Go,
+}
+
+impl OutputFolder {
+    /// Reads the listing of a folder, if there is one.
+    pub(super) fn listed(path: &Path, listing: &'static str) -> Result<Self, Failure> {
+        let folder = Self { listing: Some(listing), ..Self::unlisted(path, false) };
+        let (before, announced) = (entries(&path.join(listing))?, entries(&announcement(path, listing))?);
+        Ok(folder.knowing(before.into_iter().chain(announced)))
+    }
+
+    /// Returns a folder without a listing. With `force` any plain file there may be replaced, otherwise none.
+    pub(super) fn unlisted(path: &Path, force: bool) -> Self {
+        Self { path: path.to_owned(), listing: None, force, recorded: BTreeMap::new() }
+    }
+
+    /// Adds files to those that crumple wrote, by their names and SHA-256.
+    pub(super) fn knowing(mut self, files: impl IntoIterator<Item = (String, String)>) -> Self {
+        for (name, digest) in files {
+            self.recorded.entry(name).or_default().insert(digest);
+        }
+        self
+    }
+
+    /// Writes files by their names, and the listing. Makes the folder if it is not there. A file with the same contents stays as it is.
+    pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), Failure> {
+        disk::make_folder(&self.path)?;
+        disk::remove_unfinished(&self.path)?;
+        let mut files = Files::default();
+        for (name, contents) in contents {
+            self.stage(&mut files, name, contents)?;
+        }
+        let Some(listing) = self.listing else { return Ok(files.commit()?) };
+        let mut next: BTreeMap<&str, String> =
+            contents.iter().map(|(name, contents)| (name.as_str(), sha256(contents))).collect();
+        let mut stale = Vec::new();
+        for (name, digest) in self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged(name)?))) {
+            match (next.contains_key(name), earlier) {
+                (true, _) => {}
+                (false, EarlierFiles::Stay) => drop(next.insert(name, digest)),
+                (false, EarlierFiles::Go) => stale.push(self.path.join(name)),
+            }
+        }
+        let before = self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| line(name, digest)));
+        let after: String = next.iter().map(|(name, digest)| line(name, digest)).collect();
+        let announced = announcement(&self.path, listing);
+        disk::write(&announced, before.collect::<String>() + &after)?;
+        match after.is_empty() {
+            true => stale.push(self.path.join(listing)),
+            false => files.stage(&self.path.join(listing), after)?,
+        }
+        files.commit()?;
+        // The announcement goes last: until then it knows the stale files.
+        stale.push(announced);
+        Ok(disk::remove(&stale)?)
+    }
+
+    fn stage(&self, files: &mut Files, name: &str, contents: &[u8]) -> Result<(), Failure> {
+        let path = self.path.join(name);
+        if let Some(link) = self.link_to(&path) {
+            return Err(Failure::Input(format!("{}: {LINK}", link.display())));
+        }
+        path.parent().map_or(Ok(()), disk::make_folder)?;
+        let is_own = |digest: &str| self.force || self.recorded.get(name).is_some_and(|known| known.contains(digest));
+        let advice = if self.listing.is_some() { LISTED } else { UNLISTED };
+        stage(files, &path, contents, is_own, advice)
+    }
+
+    /// Returns the digest of a file that crumple wrote and that has not changed since.
+    fn unchanged(&self, name: &str) -> Option<String> {
+        let path = self.path.join(name);
+        let is_plain = self.link_to(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        let digest = is_plain.then(|| digest(&path).ok()).flatten()?;
+        self.recorded.get(name)?.contains(&digest).then_some(digest)
+    }
+
+    /// Returns the first folder between this one and a file in it that leads elsewhere.
+    fn link_to<'a>(&self, path: &'a Path) -> Option<&'a Path> {
+        let between = path.ancestors().skip(1).take_while(|folder| *folder != self.path);
+        between.into_iter().find(|folder| folder.is_symlink())
+    }
+}
+
+const LINK: &str = "is a symbolic link, and results are files of their own: remove it, or write elsewhere";
+const LISTED: &str = "has changed, or crumple did not write it: move it, or use another --out";
+const UNLISTED: &str = "is there and says something else: use --force to overwrite it, or another name";
+
+/// Stages a file that the user named. With `force` it may replace a file with other contents.
+pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, bytes: &[u8], force: bool) -> Result<(), Failure> {
+    stage(files, &output::place(path)?, bytes, |_| force, UNLISTED)
+}
+
+/// Stages a file if its place is free, or `is_own` accepts the digest of the plain file that is there.
+pub(super) fn stage(
+    files: &mut Files,
+    path: &Path,
+    contents: &[u8],
+    is_own: impl FnOnce(&str) -> bool,
+    otherwise: &str,
+) -> Result<(), Failure> {
+    let refused = |problem: &str| Err(Failure::Input(format!("{}: {problem}", path.display())));
+    match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
+        Err(error) => return Err(DiskError::at(path)(error).into()),
+        Ok(found) if found.is_symlink() => return refused(LINK),
+        Ok(found) if !found.is_file() => return refused("is no file, and results are files"),
+        Ok(_) => {}
+    }
+    match digest(path)? {
+        digest if digest == sha256(contents) => Ok(()),
+        digest if is_own(&digest) => Ok(files.stage(path, contents)?),
+        _ => refused(otherwise),
+    }
+}
+
+/// Returns the file that holds both listings, the last and the next one, while files are moved to their places. A process that ends
+/// in between leaves it, and the next one knows the files of both.
+fn announcement(folder: &Path, listing: &str) -> PathBuf {
+    folder.join(format!(".{listing}.next"))
+}
+
+/// Formats a line as `sha256sum` does.
+fn line(name: &str, digest: &str) -> String {
+    format!("{digest}  {name}\n")
+}
+
+/// Reads a listing: names and SHA-256 of files beside it. There is none if there is no such file.
+fn entries(path: &Path) -> Result<Vec<(String, String)>, Failure> {
+    match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Ok(found) if !found.is_file() => {
+            let problem = "is no plain file, and crumple lists there what it wrote: remove it, or use another --out";
+            return Err(Failure::Input(format!("{}: {problem}", path.display())));
+        }
+        _ => {}
+    }
+    let text = file::read(path)?;
+    let entry = |(index, line): (usize, &str)| {
+        // A name that leads elsewhere is none of a file of this folder.
+        let is_within = |name: &str| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+        let found = line.split_once("  ").filter(|(digest, name)| digest.len() == 64 && is_within(name));
+        found.map(|(digest, name)| (name.to_owned(), digest.to_owned())).ok_or_else(|| {
+            let problem = "is no SHA-256 and the name of a file beside it, as crumple writes them: use another --out";
+            Failure::Input(format!("{}:{}: {problem}", path.display(), index + 1))
+        })
+    };
+    text.lines().enumerate().map(entry).collect()
+}
+
+/// Computes the SHA-256 of a file.
+fn digest(path: &Path) -> Result<String, DiskError> {
+    let mut digest = Sha256::default();
+    let mut copied = fs::File::open(path).map_err(DiskError::at(path))?;
+    io::copy(&mut copied, &mut digest).map_err(DiskError::at(path))?;
+    Ok(digest.hexadecimal())
+}
