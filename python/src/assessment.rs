@@ -69,7 +69,7 @@ impl Assessment {
     }
 
     fn __str__(&self) -> String {
-        self.0.first_page.plain()
+        self.0.first_page.plain() + &self.0.first_page.gates_plain()
     }
 
     fn __repr__(&self) -> String {

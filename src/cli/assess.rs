@@ -49,7 +49,8 @@ the best escape found from each scenario (see avoid), and with every certificate
 
 A folder of scenarios may hold 10 000 files and 64 MiB, any other file 3 MiB of TOML, certificates 64 MiB, recordings what import takes.
 
-Other gates: no-contact-in-paper-scenarios, no-contact-in-traffic and no-avoidable-failure (with a space) for a controller, \
+Other gates: no-contact-in-paper-scenarios, no-collision-in-scenario-files (of `scenarios` and `recordings`), no-collision-in-space (random \
+scenarios of a space, one of `distributions` or `traffic` or `high-risk`) and no-avoidable-failure (with a space) for a controller, \
 needless-braking-at-most and left-behind-at-most (with percent), string-stable, suite-passed (with a suite), rate-at-most (with percent; both rates with a space, if there are several distributions), proofs-accepted, nothing-worse (than in --against).
 
 Evidence is kept in the folder `evidence` of the report, by the hash of everything it depends on: what has not changed is not \
@@ -91,6 +92,7 @@ impl Assess {
                 let plan = AssessmentPlan::load(path)?;
                 let doubts = plan.controllers().iter().flat_map(subject::of_controller);
                 doubts.for_each(|doubt| output::note(&doubt, quiet));
+                plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
             }
         };
@@ -140,6 +142,7 @@ impl Assess {
         if let Some(comparison) = &assessment.comparison {
             said += &format!("{}\n", comparison.words());
         }
+        said += &assessment.first_page.gates_plain();
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
         let printed = match self.format {
             Format::Json => output::print_json(&assessment.summary),

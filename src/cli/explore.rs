@@ -24,7 +24,8 @@ Examples:
   crumple explore my-scenario.toml --controller baseline --controller policy --out drawn
   crumple explore runs/match-leader runs/idm")]
 pub(super) struct Explore {
-    /// Scenarios to begin with, built-in ones or files, and folders of campaigns (`crumple falsify --out`), finished or under way
+    /// Scenarios to begin with, built-in ones or files, and folders of campaigns (`crumple falsify --out`), finished or under way. The
+    /// first one is shown first
     #[arg(value_name = "SCENARIO|CAMPAIGN")]
     what: Vec<String>,
     /// Port; 0 for any that is free
@@ -47,7 +48,10 @@ pub(super) struct Explore {
 /// What `--format json` prints.
 #[derive(Serialize)]
 struct Address {
+    /// The beginning of all addresses.
     address: String,
+    /// The page to open.
+    page: String,
     port: u16,
 }
 
@@ -55,6 +59,8 @@ impl Explore {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let mut offer =
             Offer { controllers: self.controller, estimator: self.estimator, out: self.out, ..Offer::default() };
+        // What is named first is shown first.
+        let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {
             if Path::new(&name).is_dir() {
                 offer.campaigns.push(name.into());
@@ -65,9 +71,10 @@ impl Explore {
         }
         let server = Server::bind(self.port, offer)?;
         let (address, port) = (server.address(), server.port());
+        let page = format!("{address}{page}");
         output::print(&match self.format {
-            Format::Json => serde_json::to_string(&Address { address, port }).map_err(Failure::input)? + "\n",
-            Format::Text => format!("{address}\n"),
+            Format::Json => serde_json::to_string(&Address { address, page, port }).map_err(Failure::input)? + "\n",
+            Format::Text => format!("{page}\n"),
         })?;
         output::note("open this address in a browser on this machine; Ctrl-C ends it", quiet);
         Ok(server.run()?)

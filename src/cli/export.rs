@@ -9,9 +9,11 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_report::export::openscenario::{self, OpenScenario};
+use crumple_search::falsify::counterexample::VerdictRecords;
+use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
-use crumple_world::scenario::Scenario;
+use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
@@ -19,6 +21,7 @@ use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel,
 #[command(after_long_help = "\
 For each scenario two files, NAME.xosc and NAME.xodr, the road, which the first names.
 
+A counterexample of a campaign is simulated with the controller and the estimator that it is recorded with, unless --controller names another. \
 `--as trajectories` (the default) simulates and writes what every vehicle did: timed polylines, followed by position in absolute time, \
 within 2 mm of the run. A run that ends in a contact ends there. `--as actions` writes what the scripted vehicles do, as actions with \
 triggers; every other vehicle has a controller, `under-test` or the name of its driver, that is yours to fill.
@@ -40,12 +43,13 @@ pub(super) struct Export {
     /// What is written
     #[arg(long = "as", value_enum, value_name = "WHAT", default_value = "trajectories")]
     what: What,
-    /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: baseline]
+    /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one that a
+    /// counterexample is recorded with, `baseline` in built-in scenarios; needed in all other scenarios with a vehicle under test]
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: Option<NamedController>,
-    /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
-    estimator: EstimatorKind,
+    /// What the vehicles under test look through [default: as recorded with a counterexample, or else kalman]
+    #[arg(long, value_name = "ESTIMATOR", value_parser = choice::one_of(choice::ESTIMATORS))]
+    estimator: Option<EstimatorKind>,
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
     after_contact: AfterContact,
@@ -67,6 +71,15 @@ struct Exported {
     opendrive: String,
     vehicles: usize,
     vertices: usize,
+    /// What drove the vehicles under test; none where there is none, or where that is left to the user.
+    controller: Option<String>,
+    estimator: Option<&'static str>,
+}
+
+/// What drives the vehicles under test.
+struct Driven {
+    controller: NamedController,
+    estimator: EstimatorKind,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -101,7 +114,8 @@ impl Export {
                 return Err(Failure::Input(format!("{given}: {name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
-            let made = self.export(&scenario, &road, quiet)?;
+            let driven = self.driven(given, &scenario)?;
+            let made = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
             exported.push(Exported {
                 scenario: scenario.spec().name.clone(),
@@ -109,13 +123,21 @@ impl Export {
                 opendrive: self.out.join(&road).display().to_string(),
                 vehicles: scenario.vehicles().len(),
                 vertices: made.vertices,
+                controller: driven.as_ref().map(|driven| driven.controller.name.clone()),
+                estimator: driven.as_ref().map(|driven| driven.estimator.name()),
             });
             written.extend([(storyboard, made.scenario), (road, made.road)]);
             names.push(name);
         }
         folder.write(&written, EarlierFiles::Stay)?;
         let line = |one: &Exported| {
-            format!("{}: {} vehicles, {} vertices\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
+            let under = match (&one.controller, one.estimator) {
+                (Some(controller), Some(estimator)) => {
+                    format!(", under {}, estimator {estimator}", Terminal(controller))
+                }
+                _ => String::new(),
+            };
+            format!("{}: {} vehicles, {} vertices{under}\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
         };
         match self.format {
             Format::Json => output::print_json(&exported),
@@ -123,25 +145,72 @@ impl Export {
         }
     }
 
-    fn export(&self, scenario: &Scenario, road: &str, quiet: bool) -> Result<OpenScenario, Failure> {
+    /// Returns what drives the vehicles under test: what the user names, or else what a counterexample is recorded with. None where no
+    /// vehicle is under test, or where that is left to the user.
+    fn driven(&self, given: &str, scenario: &Scenario) -> Result<Option<Driven>, Failure> {
+        if self.what == What::Actions || !scenario.has_vehicle_under_test() {
+            return Ok(None);
+        }
+        let driven = |controller, estimator: Option<EstimatorKind>| {
+            Ok(Some(Driven { controller, estimator: self.estimator.or(estimator).unwrap_or_default() }))
+        };
+        if let Some(controller) = &self.controller {
+            return driven(controller.clone(), None);
+        }
+        if built_in(given).is_some() {
+            return driven(NamedController::find("baseline", Path::new("")).map_err(Failure::input)?, None);
+        }
+        let mut records = VerdictRecords::default();
+        let Some(recorded) = records.about(Path::new(given))? else {
+            let problem = "no record says which controller it is about: name one with --controller";
+            return Err(Failure::Input(format!("{given}: {problem}")));
+        };
+        let [verdict] = recorded.by_controller()[..] else {
+            let names: Vec<_> =
+                recorded.by_controller().iter().map(|verdict| format!("`{}`", verdict.controller)).collect();
+            let problem = format!("it is recorded with {}: choose one with --controller", names.join(" and "));
+            return Err(Failure::Input(format!("{given}: {problem}")));
+        };
+        let mut found = recorded.places(verdict).map(|folder| verdict.find_controller(&folder));
+        let first = found.next();
+        let controller = match first {
+            Some(Ok(controller)) => Ok(controller),
+            Some(Err(error)) => found.find_map(Result::ok).ok_or(error.to_string()),
+            None => Err("there is no such controller".to_owned()),
+        };
+        let controller = controller.map_err(|error| {
+            let problem = format!("it is recorded with the controller `{}`: {error}", verdict.controller);
+            Failure::Input(format!("{given}: {problem}; --controller names another one"))
+        })?;
+        driven(controller, Some(verdict.estimator))
+    }
+
+    fn export(
+        &self,
+        scenario: &Scenario,
+        driven: Option<&Driven>,
+        road: &str,
+        quiet: bool,
+    ) -> Result<OpenScenario, Failure> {
         let name = &scenario.spec().name;
         let failed = |error: &dyn std::fmt::Display| Failure::Input(format!("{name}: {error}"));
         if self.what == What::Actions {
             return openscenario::actions(scenario, road).map_err(|error| failed(&error));
         }
-        let controller = match &self.controller {
-            Some(named) => named.clone(),
-            None => NamedController::find("baseline", Path::new("")).map_err(Failure::input)?,
+        // Where no vehicle is under test, any controller drives none.
+        let (kind, estimator) = match driven {
+            Some(driven) => (driven.controller.kind.clone(), driven.estimator),
+            None => (ControllerSpec::Baseline(Default::default()).into(), EstimatorKind::default()),
         };
-        let options =
-            RunOptions::new(controller.kind).with_estimator(self.estimator).with_after_contact(self.after_contact);
+        let options = RunOptions::new(kind).with_estimator(estimator).with_after_contact(self.after_contact);
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {
             output::note(&format!("note: {name} ends where the controller failed: {why}"), quiet);
         }
         let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;
-        openscenario::trajectories(scenario, &trace, road).map_err(|error| failed(&error))
+        let controller = driven.map(|driven| driven.controller.name.as_str());
+        openscenario::trajectories(scenario, &trace, controller, road).map_err(|error| failed(&error))
     }
 }
 

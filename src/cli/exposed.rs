@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crumple_search::evidence::exposed::{ExposedRate, Figure, Figures, LEAST_RESAMPLES, WithData};
+use crumple_world::digits::nearest;
 use crumple_world::quoted::Terminal;
 
 /// The option `--resamples`: none, or enough for an interval.
@@ -37,9 +38,7 @@ fn write_text(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
         )?;
     }
     let shown = |Figure { estimate, lower, upper }: Figure| {
-        let lower = if lower > 0.0 { format!("{lower:.2e}") } else { "0".to_owned() };
-        let estimate = if estimate > 0.0 { format!("{estimate:.3e}") } else { "0".to_owned() };
-        format!("{estimate} ({lower} to {upper:.2e})")
+        format!("{} ({} to {})", nearest(estimate, 4), nearest(lower, 3), nearest(upper, 3))
     };
     let figures = |figures: &Figures, out: &mut String| {
         let Figures { per_episode, per_hour, per_1000_km } = *figures;

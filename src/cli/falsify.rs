@@ -33,7 +33,7 @@ at one speed at the start). A failure beside --against or --metamorphic has two 
 is negative where the one fails and the other does not; the other scenario of --metamorphic is in `counterexamples/partners/`.
 
 Formulas for --spec are over signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 and \
-v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. \
+v1.jerk_mps3, vehicles counted from the front. A formula may have 4000 words and signs, 64 deep, and a space file 3 MiB. docs/stl.md has all signals and operators, and which operator binds tighter. \
 An evaluation of --budget takes some 360 bytes of disk, with --log summary 40 while it lasts and none afterwards, and no memory that lasts: a \
 million needs 360 MB, and in the space `paper` some six minutes of two cores.
 
@@ -166,8 +166,7 @@ impl Falsify {
         });
         let space = space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification =
-            Specification::parse(&self.spec, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+        let specification = subject::specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,

@@ -14,6 +14,7 @@ use super::{Failure, output};
 use crumple_report::figures;
 use crumple_search::disk::Files;
 use crumple_search::fit::{FamilyFit, Fitted, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
+use crumple_world::digits;
 use crumple_world::quoted::Terminal;
 use crumple_world::recording::load;
 use crumple_world::recording::map::RecordingMap;
@@ -197,13 +198,13 @@ fn write_number(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
     writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}")?;
     writeln!(
         out,
-        "  tails: {:.2e} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {:.2e} beyond the largest, {:.3} {unit} ({} in the \
+        "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} {unit} ({} in the \
          highest)",
-        tails.below_smallest,
+        digits::nearest(tails.below_smallest, 3),
         sorted.len() as u64 - point_mass.map_or(0, |point| point.seen),
         tails.smallest,
         tails.in_lower_tenth,
-        tails.beyond_largest,
+        digits::nearest(tails.beyond_largest, 3),
         tails.largest,
         tails.in_upper_tenth
     )?;

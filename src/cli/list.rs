@@ -22,6 +22,8 @@ const FILES: (&str, &str) = (
 );
 
 /// List the built-in scenarios, controllers, spaces and search methods
+///
+/// `crumple show NAME` prints a scenario, a space, a preset, a suite or a map as a file.
 #[derive(Args)]
 pub(super) struct List {
     /// What to list; everything if nothing is named

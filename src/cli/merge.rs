@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::output::rounded_up;
 use super::simulate::Format;
 use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
 use crumple_learn::rl::{MergedTrainings, is_of_trainings};
@@ -18,6 +17,7 @@ use crumple_search::falsify::campaign::{MergedCampaign, SHARD_OF_A_CAMPAIGN};
 use crumple_search::shard::{MergeError, as_array};
 use crumple_search::suite::{MergedSuite, SHARD_OF_A_SUITE};
 use crumple_search::work::{Finished, Found, find};
+use crumple_world::digits;
 
 /// Put shards together that were made on several machines (see --shard)
 #[derive(Args)]
@@ -320,7 +320,7 @@ fn incomplete(so_far: &SoFar) -> String {
         Some(bound) => line(format!(
             "{} failures so far; were all missing runs failures too, the bound would be a rate of {}",
             so_far.failures,
-            rounded_up(bound)
+            digits::up(bound, 4)
         )),
         None => line(format!(
             "so far {} runs in which only the first failed, {} only the second",

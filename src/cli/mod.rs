@@ -32,6 +32,7 @@ mod rare;
 mod reach;
 mod retrain;
 mod shell;
+mod show;
 mod simulate;
 mod simulated;
 mod subject;
@@ -97,6 +98,7 @@ enum Command {
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::List),
+    Show(show::Show),
     Describe(describe::Describe),
     Doctor(doctor::Doctor),
     Completions(shell::Completions),
@@ -147,6 +149,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Merge(command) => command.run(quiet),
         Command::Fsck(command) => command.run(),
         Command::List(command) => command.run(),
+        Command::Show(command) => command.run(quiet),
         Command::Describe(command) => command.run(),
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(commands()),

@@ -128,18 +128,6 @@ pub(super) fn place(path: &Path) -> Result<PathBuf, Failure> {
     Ok(place)
 }
 
-/// An upper bound with four digits, never below what it was: rounded to the nearest, it would claim more than was shown.
-pub(super) fn rounded_up(bound: f64) -> String {
-    let nearest = format!("{bound:.3e}");
-    match nearest.parse::<f64>() {
-        Ok(shown) if shown < bound => {
-            let last_digit = 10f64.powi(bound.abs().log10().floor() as i32 - 3);
-            format!("{:.3e}", shown + last_digit)
-        }
-        _ => nearest,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -161,19 +149,6 @@ mod tests {
             assert_eq!(plain, line);
             assert_eq!(word.is_some(), shown != line, "{shown}");
             word.iter().for_each(|word| assert!(shown.contains(&format!("m{word}\u{1b}[")), "{shown:?}"));
-        }
-    }
-
-    #[test]
-    fn bounds_are_rounded_away_from_what_they_claim() {
-        for (bound, shown) in [
-            (0.260_149, "2.602e-1"),
-            (0.469_700_7, "4.698e-1"),
-            (0.25, "2.500e-1"),
-            (9.9999e-7, "1.000e-6"),
-            (0.0, "0.000e0"),
-        ] {
-            assert_eq!(rounded_up(bound), shown);
         }
     }
 }

@@ -11,6 +11,7 @@ use crumple_search::evidence::rare::{
     Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareError, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_search::shard::{MissingShards, Shard};
+use crumple_world::digits;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Terminal;
 
@@ -174,7 +175,11 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
             writeln!(out, "  no failure, and nowhere further to climb: no estimate, and no proof that there is none")?;
         }
         (Some(probability), Some(variation), Some([low, high])) => {
-            writeln!(out, "  probability of a failure {probability:.3e}, coefficient of variation {variation:.2}")?;
+            writeln!(
+                out,
+                "  probability of a failure {}, coefficient of variation {variation:.2}",
+                digits::nearest(*probability, 4)
+            )?;
             // Where the spread of weights leaves nothing below 1.
             let of_draws = report.method == RareMethod::Importance && *interval_95 == estimate.independent(0.95);
             let from = match of_draws {
@@ -184,7 +189,12 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 ),
                 false => format!("the spread of {} repetitions", repetitions.len()),
             };
-            writeln!(out, "  95 % interval {low:.2e} to {high:.2e}, from {from}")?;
+            writeln!(
+                out,
+                "  95 % interval {} to {}, from {from}",
+                digits::nearest(*low, 3),
+                digits::nearest(*high, 3)
+            )?;
         }
         (Some(_), ..) => {
             writeln!(
@@ -198,8 +208,8 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         && let Some([low, high]) = estimate.independent(0.95)
     {
         let (failures, runs) = (estimate.independent_failures, estimate.independent_runs);
-        let high = output::rounded_up(high);
-        writeln!(out, "  {failures} of the {runs} draws it began with fail: between {low:.2e} and {high} at 95 %")?;
+        let (low, high) = (digits::nearest(low, 3), digits::up(high, 4));
+        writeln!(out, "  {failures} of the {runs} draws it began with fail: between {low} and {high} at 95 %")?;
     }
     let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
     if died > 0 && died < repetitions.len() {
@@ -251,8 +261,8 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         };
         writeln!(
             out,
-            "  {gap:>14} {:>13.3e} {:>8.1} % {:>6} {:>11}",
-            level.probability,
+            "  {gap:>14} {:>13} {:>8.1} % {:>6} {:>11}",
+            digits::nearest(level.probability, 4),
             100.0 * level.share,
             number(level.step),
             number(level.acceptance)

@@ -55,7 +55,7 @@ pub(super) struct Reach {
 }
 
 /// Boxes that are built in.
-const BOXES: [(&str, &str); 2] =
+pub(super) const BOXES: [(&str, &str); 2] =
     [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
 
 /// The text of the box of that name, or in that file.

@@ -10,10 +10,10 @@ use super::{Failure, choice, subject};
 use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
 use crumple_report::export;
 use crumple_search::disk::Files;
-use crumple_search::falsify::counterexample::ExpectedFile;
+use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecords};
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, file};
+use crumple_world::scenario::{Scenario, built_in, file};
 use crumple_world::sim::{
     AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate, simulate_batch,
 };
@@ -31,7 +31,7 @@ the Intelligent Driver Model would at its true state, than avoiding a contact to
 that ends at less than half the speed of a vehicle ahead that drives on.
 
 A scenario file may have 8 MiB of JSON or 3 of TOML, 1000 vehicles, and 5 million vehicles times steps, of which a trace takes 120 MB; a formula 4000 words and \
-signs, 64 deep; a policy file 256 MiB, a network 64 MiB.
+signs, 64 deep (docs/stl.md has signals, operators and their precedence); a policy file 256 MiB, a network 64 MiB.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -150,6 +150,10 @@ impl Simulate {
         };
         let names = self.scenarios.iter().filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
         let scenarios = names.map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
+        if let Some(scenario) = scenarios.first() {
+            self.spec.iter().try_for_each(|text| subject::specification(text, scenario, quiet).map(drop))?;
+        }
+        self.note_other_controllers(quiet);
         let options = self.options();
         let runs = scenarios
             .iter()
@@ -212,6 +216,23 @@ impl Simulate {
             collided: !simulated.impacts.is_empty(),
             violated,
         })
+    }
+
+    /// Says which scenario files are recorded with other controllers than the one that drives here.
+    fn note_other_controllers(&self, quiet: bool) {
+        let mut records = VerdictRecords::default();
+        for name in self.scenarios.iter().filter(|name| built_in(name).is_none()) {
+            // A record that cannot be read says nothing of a run.
+            let Ok(Some(recorded)) = records.about(Path::new(name)) else { continue };
+            let others: Vec<_> = recorded.by_controller().iter().map(|verdict| verdict.controller.as_str()).collect();
+            if !others.contains(&self.controller.name.as_str()) {
+                let (own, others) = (&self.controller.name, others.join("` and `"));
+                output::note(
+                    &format!("note: {name} is recorded with `{others}`, and is simulated with `{own}`"),
+                    quiet,
+                );
+            }
+        }
     }
 
     fn scenario(&self, name: &str) -> Result<Scenario, Failure> {

@@ -4,8 +4,9 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use super::Failure;
+use super::{Failure, output};
 use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, find_space};
@@ -47,6 +48,15 @@ pub(super) fn whole(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, 
         let number = words.parse().ok().filter(|number| range.contains(number));
         number.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
     }
+}
+
+/// Reads a specification of runs like `nominal`, and warns where a formula is judged at the first instant only.
+pub(super) fn specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, Failure> {
+    let read = Specification::parse(text, nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+    if let Some(warning) = read.warning() {
+        output::note(&format!("warning: --spec: {warning}"), quiet);
+    }
+    Ok(read)
 }
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.

@@ -276,7 +276,7 @@ impl Rate {
             None => Specification::NoContact,
             Some(text) => {
                 let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-                Specification::parse(text, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?
+                subject::specification(text, &nominal, quiet)?
             }
         };
         let plan = RarePlan {

@@ -151,7 +151,7 @@ fn names_prove_nothing() {
     assert_eq!([0, 1, 2, 3, 4, 5].map(is_claimed), [0, 0, 0, 1, 1, 1]);
     let words = &rows[1].claim;
     assert!(words.contains("harder than 0.1 m/s², while its filter is off by no more than the shield"), "{words}");
-    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of starts")) {
+    for row in assessment.summary.claims.iter().filter(|row| row.claim.contains("the box of initial states")) {
         assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
         assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
     }
@@ -271,6 +271,54 @@ fn gates_find_the_draws_of_own_spaces() {
     assert_eq!(holds, [true, false, true, false]);
 }
 
+/// A gate on a space looks at its random scenarios, those of everyday traffic included, and one on scenario files does not.
+#[test]
+fn gates_on_spaces_look_at_random_scenarios() {
+    let mut asked = config(&["idm", "full-throttle"]);
+    asked.everyday_draws = 20;
+    asked.scenarios = vec!["recorded.toml".into()];
+    let in_space = |controller: &str, space: &str| Gate::NoCollisionInSpace {
+        controller: controller.to_owned(),
+        space: space.to_owned(),
+    };
+    asked.gates = vec![
+        Gate::NoCollisionInScenarioFiles { controller: "full-throttle".to_owned() },
+        in_space("full-throttle", "traffic"),
+        in_space("full-throttle", "high-risk"),
+        in_space("full-throttle", "paper"),
+        in_space("idm", "traffic"),
+    ];
+    let folder = tempfile::tempdir().expect("a folder");
+    // Nothing is ahead within reach, so that full throttle collides with nothing.
+    let far = "version = 1\nname = \"far\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 900.0\nspeed_mps = 20.0\n\
+               [vehicles.driver]\nconstant-speed = {}\n[[vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = 20.0\n\
+               driver = \"under-test\"\n";
+    fs::write(folder.path().join("recorded.toml"), far).expect("writes");
+    let found = run(asked.clone(), folder.path());
+    let gates = &found.summary.gates;
+    let holds: Vec<_> = gates.iter().map(|gate| gate.holds).collect();
+    assert_eq!(holds, [true, false, false, false, true], "{gates:#?}");
+    assert!(gates[1].because.ends_with("of 20 random scenarios collide"), "{}", gates[1].because);
+    assert!(gates[3].because.ends_with("of 40 random scenarios collide"), "{}", gates[3].because);
+
+    // The first page ends with the gates on a terminal, and has them in both forms of the report.
+    assert!(found.first_page.gates_plain().ends_with("2 of 5 gates hold.\n"), "{}", found.first_page.gates_plain());
+    for page in [found.first_page_html(), found.markdown()] {
+        let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"].map(|text| page.find(text));
+        assert!(gates.is_some() && space > gates, "{page}");
+    }
+    let claims = found.markdown().find("## Claims").expect("a part");
+    assert!(found.markdown().find("2 of 5 gates hold.") < Some(claims), "on the first page");
+
+    for (space, said) in
+        [("standing", "gates[0].space: `standing` is neither among"), ("traffic", "needs `everyday_draws`")]
+    {
+        (asked.everyday_draws, asked.gates) = (0, vec![in_space("idm", space)]);
+        let refused = AssessmentPlan::new(asked.clone(), [], folder.path()).expect_err("refused").to_string();
+        assert!(refused.contains(said), "{refused}");
+    }
+}
+
 /// A line in which the third vehicle brakes and the fourth hits it, whoever is under test: by `drivers`, front to rear.
 fn crash_of_others(drivers: [&str; 4]) -> String {
     let vehicle = |(place_m, speed_mps, driver): (f64, f64, &str)| {
@@ -341,7 +389,7 @@ fn what_would_mislead_is_refused_before_the_work() {
             "gates[0].than: is the controller itself",
         ),
         (
-            "[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
+            "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n",
             "gates[0].require: needs `scenarios`",
         ),
         (
@@ -384,7 +432,7 @@ fn rules_are_searched_for_and_what_breaks_them_is_kept() {
     let row = |claim: &str| assessment.summary.claims.iter().find(|row| row.claim.starts_with(claim)).expect("claimed");
     assert!(row("no braking without cause that a search").standings[1].words().contains("60"));
     assert!(
-        row("always v1.speed_mps")
+        row("always (v1.speed_mps")
             .standings
             .iter()
             .all(|standing| matches!(standing.strength, Strength::Tested { .. }))
@@ -432,7 +480,7 @@ fn a_recording_is_assessed_as_its_episodes() {
         AssessmentPlan::load(&path).map_err(|error| error.to_string())
     };
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
-    let gate = "[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n";
+    let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";
     let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
     let found = assess(&plan, &Store::none(), None, &|_| {}).expect("runs");
     let traffic = found.traffic.as_ref().expect("a part");

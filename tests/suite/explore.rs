@@ -43,6 +43,27 @@ fn explore_prints_its_address_and_ends_with_ctrl_c() {
     }
 }
 
+/// The page that is opened is that of what is named first.
+#[cfg(unix)]
+#[test]
+fn explore_opens_a_campaign_that_is_named_first() {
+    let folder = folder();
+    let search = ["falsify", "--controller", "idm", "--budget", "1", "--out", "found"];
+    assert_eq!(code(&crumple(folder.path(), &search)), 0);
+    for (what, page) in [(["found", "paper-1"], "/campaigns"), (["paper-1", "found"], "/")] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
+        command.arg("explore").args(what).args(["--quiet", "--format", "json"]).current_dir(folder.path());
+        let mut child = command.stdout(Stdio::piped()).spawn().expect("starts");
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+        child.kill().expect("it runs");
+        child.wait().expect("ends");
+        let printed: serde_json::Value = serde_json::from_str(&line).expect("one object");
+        let [address, opened] = ["address", "page"].map(|key| printed[key].as_str().expect("text"));
+        assert_eq!(opened.strip_prefix(address.trim_end_matches('/')), Some(page), "{line}");
+    }
+}
+
 #[test]
 fn explore_refuses_what_it_cannot_offer() {
     let folder = folder();

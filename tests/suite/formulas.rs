@@ -21,8 +21,13 @@ proptest! {
         let formula = any_formula(&bytes, &["x", "y"], 0.1).unwrap().to_string();
         let error = format!("({formula}) {more}").parse::<Formula>().expect_err("more than a formula");
         prop_assert_eq!(error.column, formula.chars().count() + 4);
-        prop_assert!(matches!(error.problem, SyntaxProblem::Expected { .. }), "{}", error.problem);
-        prop_assert!(error.problem.to_string().ends_with(&format!("found {found}")), "{}", error.problem);
+        match &error.problem {
+            SyntaxProblem::UnknownOperator { word } => prop_assert_eq!(format!("`{word}`"), found),
+            problem => {
+                prop_assert!(matches!(problem, SyntaxProblem::Expected { .. }), "{}", problem);
+                prop_assert!(problem.to_string().ends_with(&format!("found {found}")), "{}", problem);
+            }
+        }
     }
 
     /// A number is what it is anywhere else, exponent and its sign included.
@@ -129,5 +134,28 @@ fn two_in_a_row_are_refused() {
         let error = text.parse::<Formula>().unwrap_err();
         assert!(matches!(error.problem, SyntaxProblem::Chained), "{text}: {error}");
         assert_eq!(error.column, column, "{text}");
+    }
+}
+
+/// The page on formulas has every operator and signal that there is, and says how formulas are read.
+#[test]
+fn the_page_on_formulas_is_complete_and_right() {
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/stl.md")).unwrap();
+    for word in ["not", "and", "or", "implies", "always[a,b]", "eventually[a,b]", "until[a,b]", "inf"] {
+        assert!(page.contains(&format!("`{word}`")), "{word}");
+    }
+    for sign in ["<", "<=", ">", ">=", "≤", "≥", "!", "¬", "□", "◇", "&&", "∧", "\\|\\|", "∨", "->", "=>", "→"]
+    {
+        assert!(page.contains(&format!("`{sign}`")), "{sign}");
+    }
+    for name in motion_signal_names(2).iter().filter_map(|name| name.strip_prefix("v1.")) {
+        assert!(page.contains(&format!("| `vi.{name}` |")), "{name}");
+    }
+    let table = page.split("| written | read as |").nth(1).expect("a table");
+    let rows: Vec<Vec<&str>> =
+        table.lines().skip(2).take_while(|line| line.starts_with('|')).map(|line| line.split('`').collect()).collect();
+    assert_eq!(rows.len(), 5);
+    for row in rows {
+        assert_eq!(row[1].parse::<Formula>().unwrap().to_string(), row[3], "{row:?}");
     }
 }

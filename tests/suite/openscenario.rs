@@ -53,7 +53,7 @@ fn at(points: &[(f64, f64)], time_s: f64) -> f64 {
 
 /// Every place of every vehicle within a centimetre; every speed within a centimetre a second of the mean over the step that is read.
 fn assert_is_the_run(scenario: &Scenario, trace: &Trace) {
-    let made = trajectories(scenario, trace, "road.xodr").expect("exports");
+    let made = trajectories(scenario, trace, None, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
     let groups: Vec<_> = all(document.root_element(), "ManeuverGroup").collect();
@@ -122,7 +122,7 @@ fn changes_of_lanes_are_refused() {
     });
     let cut_in = cut_in.expect("valid");
     let trace = traced(&cut_in, &options(AfterContact::Stop)).trace.expect("traced");
-    for refused in [trajectories(&cut_in, &trace, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
+    for refused in [trajectories(&cut_in, &trace, None, "road.xodr").err(), actions(&cut_in, "road.xodr").err()] {
         assert!(matches!(refused, Some(OpenScenarioError::LaneChanges)), "{refused:?}");
     }
 }

@@ -54,6 +54,19 @@ fn the_built_in_assessment_says_what_it_said() {
     });
 }
 
+/// A box of initial states goes by the name of a scenario whose own lies in it.
+#[test]
+fn no_claim_is_named_by_a_hash() {
+    let claims: Vec<&str> = BUILT_IN.summary.claims.iter().map(|row| row.claim.as_str()).collect();
+    for scenario in ["paper-1", "paper-2"] {
+        let words = format!("no contact from the box of initial states around `{scenario}` for 15 s");
+        assert!(claims.iter().any(|claim| claim.starts_with(&words)), "{claims:#?}");
+    }
+    let is_hash = |word: &str| word.len() >= 8 && word.chars().all(|letter| letter.is_ascii_hexdigit());
+    let has_hash = |claim: &&str| claim.split(|letter: char| !letter.is_alphanumeric()).any(is_hash);
+    assert!(!claims.iter().any(has_hash), "{claims:#?}");
+}
+
 /// What reads the evidence or writes a configuration has a schema for it, which the committed report keeps to.
 #[test]
 fn schemas_are_those_of_the_types() {

@@ -329,7 +329,9 @@ pub enum Rejection {
     },
     /// What was observed is not rare enough where the claim is false.
     #[error(
-        "what was observed, or better, may have probability {tail:e} if the claim is false, and {allowed:e} is allowed"
+        "what was observed, or better, may have probability {} if the claim is false, and {} is allowed",
+        scope::readable(*tail),
+        scope::readable(*allowed)
     )]
     TooLikely {
         /// Upper bound of the probability.

@@ -245,10 +245,20 @@ fn of_reach(claim: &Reach) -> Scope {
     };
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let limits = vec![format!(
-        "{} steps of {} s; what is observed is off by {largest:e} at most (m, m/s, m/s²)",
-        claim.steps, claim.step_s
+        "{} steps of {} s; what is observed is off by {} at most (m, m/s, m/s²)",
+        claim.steps,
+        claim.step_s,
+        readable(largest)
     )];
     Scope { behind: Some(behind), ..scope(Some(claim.horizon_s()), vehicles, limits) }
+}
+
+/// Returns a number as a reader writes it: with an exponent only where it would have many zeros.
+pub(crate) fn readable(number: f64) -> String {
+    match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
+        true => number.to_string(),
+        false => format!("{number:e}"),
+    }
 }
 
 fn of_cruise(claim: &Cruise) -> Scope {

@@ -5,6 +5,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`digest`] | SHA-256, as it stands in files and reports |
+//! | [`digits`] | numbers with few significant digits, for readers |
 //! | [`quoted`] | what users wrote, as it goes out: to a terminal, into Markdown, to a shell |
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`observation`] | what a controller may see |
@@ -22,6 +23,7 @@
 
 pub mod control;
 pub mod digest;
+pub mod digits;
 pub mod estimate;
 mod idm;
 pub mod measure;

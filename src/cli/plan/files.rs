@@ -7,9 +7,9 @@ use serde::Serialize;
 use super::Plan;
 use super::work::Wanted;
 use crate::cli::Failure;
-use crate::cli::output::rounded_up;
 use crumple_search::disk::{self, Files};
 use crumple_search::jobs::{Engine, Jobs, TASK};
+use crumple_world::digits;
 use crumple_world::quoted::ShellWord;
 
 /// The file `plan.json`.
@@ -88,7 +88,7 @@ impl Plan {
             Wanted::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
                 format!(
                     "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}",
-                    rounded_up(*rate_at_most)
+                    digits::up(*rate_at_most, 4)
                 ),
                 format!("  registered as {registration_sha256}\n"),
                 "rate",

@@ -5,12 +5,11 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::Plan;
-use crate::cli::{Failure, output};
+use crate::cli::{Failure, output, subject};
 use crumple_search::evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::campaign::Campaign;
 use crumple_search::shard::Shard;
 use crumple_world::control::is_external_allowed;
-use crumple_world::measure::Specification;
 
 /// What is planned, as it stands in `plan.json`.
 #[derive(Serialize)]
@@ -94,8 +93,7 @@ impl Plan {
         }
         let space = &self.space.1;
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification =
-            Specification::parse(&self.spec, &nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+        let specification = subject::specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             controller: self.controller.clone(),
             estimator: self.estimator,

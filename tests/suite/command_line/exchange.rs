@@ -119,3 +119,52 @@ fn exports_are_two_files_a_scenario() {
     );
     assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
 }
+
+/// A counterexample is exported as it was found, and its header names what drove.
+#[test]
+fn exports_of_counterexamples_have_the_recorded_controller() {
+    let folder = folder();
+    let search =
+        ["falsify", "--controller", "match-leader", "--space", "high-risk", "--budget", "10", "--out", "found"];
+    let found = crumple(folder.path(), &search);
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let files = names_in(&folder.path().join("found/counterexamples"));
+    let name = files.iter().find(|name| name.contains("-hits-")).expect("a collision");
+    let file = format!("found/counterexamples/{name}");
+    let export = |file: &str, more: &[&str]| {
+        crumple(folder.path(), &[&["export", file, "--to", "openscenario", "--out", "x"], more].concat())
+    };
+    let header = || {
+        let written = names_in(&folder.path().join("x"));
+        let scenario = written.iter().find(|name| name.ends_with(".xosc")).expect("written");
+        let text = fs::read_to_string(folder.path().join("x").join(scenario)).unwrap();
+        text.lines().find(|line| line.contains("FileHeader")).expect("a header").to_owned()
+    };
+    let original = file.replace("counterexamples/", "counterexamples/originals/");
+    for recorded in [&original, &file] {
+        let done = export(recorded, &[]);
+        assert!(stdout(&done).contains("under match-leader, estimator kalman"), "{done:?}");
+        assert!(header().contains("what every vehicle did under `match-leader`"), "{}", header());
+        fs::remove_dir_all(folder.path().join("x")).unwrap();
+    }
+    assert!(stdout(&export(&file, &["--controller", "idm"])).contains("under idm, estimator kalman"));
+    assert!(header().contains("what every vehicle did under `idm`"), "{}", header());
+
+    let simulated = crumple(folder.path(), &["simulate", &file]);
+    assert!(stdout(&simulated).contains(": baseline, estimator kalman"), "{simulated:?}");
+    let said = format!("note: {file} is recorded with `match-leader`, and is simulated with `baseline`");
+    assert!(stderr(&simulated).contains(&said), "{simulated:?}");
+
+    // Away from its record nothing says what drove, and a record may name several controllers.
+    fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
+    assert_refused(&export("alone.toml", &[]), "alone.toml: no record says which controller it is about: name one");
+    let record =
+        names_in(&folder.path().join("found/counterexamples")).into_iter().find(|name| name.starts_with("expected"));
+    let record = folder.path().join("found/counterexamples").join(record.expect("recorded"));
+    let text = fs::read_to_string(&record).unwrap();
+    let entry = text.split("[[expected]]").find(|entry| entry.contains(&format!("\"{name}\""))).expect("an entry");
+    fs::write(&record, format!("{text}[[expected]]{}", entry.replace("match-leader", "idm"))).unwrap();
+    assert_refused(&export(&file, &[]), "it is recorded with `match-leader` and `idm`: choose one with --controller");
+    fs::write(&record, text.replace("\"match-leader\"", "\"gone.toml\"")).unwrap();
+    assert_refused(&export(&file, &[]), "it is recorded with the controller `gone.toml`: ");
+}

@@ -425,3 +425,26 @@ fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
     let again = crumple(folder.path(), &arguments);
     assert_refused(&again, "--out: cars is not empty");
 }
+
+/// A part of a formula that no temporal operator governs is judged at the first instant only, and the user is warned.
+#[test]
+fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
+    let folder = folder();
+    let warned = |arguments: &[&str]| {
+        let output = crumple(folder.path(), arguments);
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        (stdout(&output).to_owned(), stderr(&output).to_owned())
+    };
+    let formula = "always v2.gap_m > 1 and v1.gap_m > 5";
+    let warning = "warning: --spec: `v1.gap_m > 5` has no temporal operator";
+    let (printed, said) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", formula]);
+    assert!(
+        printed.contains("holds, robustness") && printed.contains(": (always (v2.gap_m > 1)) and (v1.gap_m > 5)"),
+        "{printed}"
+    );
+    assert!(said.contains(warning), "{said}");
+    let (_, said) = warned(&["falsify", "--controller", "idm", "--budget", "1", "--spec", formula, "--out", "found"]);
+    assert!(said.contains(warning), "{said}");
+    let (_, said) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", "always (v1.gap_m > 1)"]);
+    assert!(!said.contains("warning"), "{said}");
+}

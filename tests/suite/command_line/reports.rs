@@ -107,8 +107,11 @@ fn gates_decide_and_evidence_is_kept() {
     let failed = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
     assert_eq!(code(&failed), 1, "{failed:?}");
     assert!(stderr(&failed).contains("gate: baseline: no contact in the paper's scenarios (it collides in paper-1"));
+    assert!(stdout(&failed).ends_with("0 of 1 gates hold.\n"), "{failed:?}");
     config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
-    assert_eq!(code(&crumple(folder.path(), &["assess", "a.toml", "--out", "two"])), 0);
+    let held = crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    assert_eq!(code(&held), 0, "{held:?}");
+    assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
 }
 
 fn refused(folder: &Path, arguments: &[&str], expected: &str) {
@@ -132,6 +135,10 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\n\nsearch = { spaces = [\"moon\"] }\n", "error: a.toml:3: search.spaces[0]: `moon` is neither"),
         ("version = 1\nrates = { confidence = 1.5 }\n", "error: a.toml:2: rates.confidence: must be between"),
         ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
+        (
+            "version = 1\n[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
+            "error: a.toml:2: gates[0]: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
+        ),
         ("version = 1\n[[gates]]\nrequire = \"luck\"\n", "error: a.toml:3: gates[0].require: unknown variant `luck`"),
     ];
     for (config, expected) in cases {

@@ -58,3 +58,58 @@ fn a_doctor_says_what_is_missing() {
     let text = crumple(folder.path(), &["doctor"]);
     assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
 }
+
+/// What is shown is a file that takes the place of its name.
+#[test]
+fn what_is_built_in_is_shown_as_a_file() {
+    let folder = folder();
+    let show = |arguments: &[&str]| {
+        let shown = crumple(folder.path(), &[&["show"], arguments].concat());
+        assert_eq!(code(&shown), 0, "{}", stderr(&shown));
+        fs::write(folder.path().join("mine.toml"), stdout(&shown)).unwrap();
+        stdout(&shown).to_owned()
+    };
+    let runs = |arguments: &[&str]| {
+        let run = crumple(folder.path(), arguments);
+        assert_eq!(code(&run), 0, "{arguments:?}: {}", stderr(&run));
+        stdout(&run).to_owned()
+    };
+    show(&["paper-1"]);
+    assert_eq!(runs(&["simulate", "mine.toml"]), runs(&["simulate", "paper-1"]));
+    show(&["traffic"]);
+    runs(&["verify", "rate", "--controller", "idm", "--space", "mine.toml", "--runs", "5", "--out", "rate"]);
+    show(&["fast"]);
+    let trained =
+        crumple(folder.path(), &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"]);
+    assert_ne!(code(&trained), 2, "{}", stderr(&trained));
+    show(&["un-r152"]);
+    assert_eq!(
+        runs(&["suite", "run", "mine.toml", "--controller", "idm"]),
+        runs(&["suite", "run", "un-r152", "--controller", "idm"])
+    );
+    show(&["openacc"]);
+    let recording = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
+    runs(&["import", recording, "--map", "mine.toml"]);
+    show(&["paper-2", "--kind", "box"]);
+    let reached = crumple(folder.path(), &["verify", "reach", "--box", "mine.toml", "--depth", "0"]);
+    assert_ne!(code(&reached), 2, "{}", stderr(&reached));
+    let vehicle = show(&["heavy"]);
+    let head = "version = 1\nname = \"two\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = 50.0\nspeed_mps = 0.0\n\
+                driver.constant-speed = {}\n";
+    fs::write(folder.path().join("two.toml"), format!("{head}{vehicle}")).unwrap();
+    runs(&["simulate", "two.toml", "--expect", "safe"]);
+
+    // Names of several kinds are said to be that.
+    let shown = crumple(folder.path(), &["show", "paper"]);
+    assert!(stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"), "{shown:?}");
+    assert!(show(&["paper", "--kind", "preset"]).contains("actor_rate"));
+    assert!(show(&["retrain"]).contains("[td3]"));
+    let unknown = crumple(folder.path(), &["show", "paper-4"]);
+    assert_refused(
+        &unknown,
+        "there is nothing built in of the name `paper-4`; there are scenario: paper-1, paper-2, paper-3; space: paper,",
+    );
+    for name in ["fast", "fmvss-127", "car-following", "heavy"] {
+        assert!(stderr(&unknown).contains(name), "{name}");
+    }
+}

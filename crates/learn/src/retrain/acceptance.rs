@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Standing;
 use super::regression::{InSpace, SIGNIFICANCE};
 use crumple_search::evidence::Discordant;
+use crumple_world::digits::nearest;
 
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -175,14 +176,14 @@ impl fmt::Display for RejectionReason {
             Self::KeptAside { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
             Self::Worse { space, contacts: of } => {
                 let Discordant { new, fixed } = of;
-                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {:.1e})", of.p_value())
+                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {})", nearest(of.p_value(), 2))
             }
             Self::LessUseful { space, drives: of } => {
                 let Discordant { new, fixed } = of;
                 write!(
                     out,
-                    "in {space} of no use in {new} more drives and in {fixed} no longer (p = {:.1e})",
-                    of.p_value()
+                    "in {space} of no use in {new} more drives and in {fixed} no longer (p = {})",
+                    nearest(of.p_value(), 2)
                 )
             }
             Self::Unchanged => out.write_str("no checkpoint was better"),

@@ -50,7 +50,7 @@ pub use cases::{Cases, TouchedDraws};
 pub use corpus::{CORPUS_VERSION, Corpus};
 pub use error::RetrainError;
 pub use judged::{Judged, Pairs, Tally};
-pub use plan::{RETRAIN_VERSION, RetrainingPlan, Settings, training_preset};
+pub use plan::{RETRAIN_VERSION, RetrainingPlan, Settings, TRAINING_PRESET_TEXT, training_preset};
 pub use regression::{InSpace, SIGNIFICANCE};
 pub use report::{Ending, FileHash, Report};
 pub use round::{Checkpoint, Round, RoundFindings, Trained};

@@ -96,14 +96,15 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-const PRESET: &str = include_str!("preset.toml");
+/// The text of the preset of a retraining.
+pub const TRAINING_PRESET_TEXT: &str = include_str!("preset.toml");
 
 /// How a learner learns in a retraining unless told otherwise.
 ///
 /// # Errors
 /// None: a test reads it.
 pub fn training_preset() -> Result<TrainingConfig, ConfigError> {
-    TrainingConfig::parse(PRESET, Path::new("retrain"))
+    TrainingConfig::parse(TRAINING_PRESET_TEXT, Path::new("retrain"))
 }
 
 /// The file `retrain.toml`.

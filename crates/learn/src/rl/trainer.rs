@@ -16,6 +16,7 @@ use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_search::disk::DiskError;
 use crumple_search::work::WorkError;
 use crumple_world::control::ControllerSpec;
+use crumple_world::digits::nearest;
 use crumple_world::policy::{Network, POLICY_VERSION, Past, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
@@ -30,8 +31,8 @@ const EXPLODED: f64 = 10.0;
 pub enum TrainingError {
     /// The networks hold numbers that are not finite, or values no return can have.
     #[error(
-        "seed {seed} diverged in episode {episode}: critic loss {critic_loss:.3e}, mean value {mean_value:.3e} (no value \
-         can exceed {largest_value:.3e}); lower the learning rates or scale the reward"
+        "seed {seed} diverged in episode {episode}: critic loss {}, mean value {} (no value can exceed {}); lower the learning \
+         rates or scale the reward", nearest(*critic_loss, 4), nearest(*mean_value, 4), nearest(*largest_value, 4)
     )]
     Diverged {
         /// Seed of the training.

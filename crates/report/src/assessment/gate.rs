@@ -1,9 +1,13 @@
 //! Gates: what must hold for an assessment to pass.
 
+use std::convert::Infallible;
+
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::claims::{Claim, Domain, Property, Strength};
+use super::parts::EVERYDAY_SPACES;
 use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, ProofStatus, Rounded, Useful};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::sim::Unanswered;
@@ -18,10 +22,17 @@ pub enum Gate {
         /// The controller.
         controller: String,
     },
-    /// A controller collides in none of the scenarios from files and recordings.
-    NoContactInTraffic {
+    /// A controller collides in none of the scenarios of `scenarios` and `recordings`. It does not look at spaces.
+    NoCollisionInScenarioFiles {
         /// The controller.
         controller: String,
+    },
+    /// A controller collides in none of the random scenarios of a space that this assessment simulates. It does not look at searches.
+    NoCollisionInSpace {
+        /// The controller.
+        controller: String,
+        /// The space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
+        space: String,
     },
     /// The share of a controller's failures by the law of a space is at most this, by bounds on counted runs.
     RateAtMost {
@@ -80,6 +91,31 @@ pub enum Gate {
     ProofsAccepted {},
     /// Nothing is worse than in the assessment that this one is compared with, and there is one.
     NothingWorse {},
+    /// A former name, which no configuration may have any more.
+    #[doc(hidden)]
+    #[schemars(skip)]
+    #[serde(rename = "no-contact-in-traffic", skip_serializing, deserialize_with = "refuse_former_name")]
+    NoContactInTraffic(Infallible),
+}
+
+/// Refuses the former name of a gate, which suggested that the gate looks at the space `traffic`.
+fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::Error> {
+    Err(D::Error::custom(
+        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, since it looks at `scenarios` and `recordings` only; \
+         `no-collision-in-space` with `space = \"traffic\"` looks at random scenarios of the space `traffic`",
+    ))
+}
+
+/// Counts of the random scenarios of a space, under one controller.
+pub(super) struct SpaceTally {
+    /// How many were simulated.
+    pub(super) scenarios: u64,
+    /// Those in which a vehicle under test collides.
+    pub(super) collisions: u64,
+    /// Those in which the controller gives no answer.
+    pub(super) unanswered: u64,
+    /// Those that end when other vehicles collide.
+    pub(super) cut_short: u64,
 }
 
 /// What came of a gate.
@@ -99,7 +135,8 @@ impl Gate {
         match self {
             Self::RateNotAbove { controller, than, .. } => vec![("controller", controller), ("than", than)],
             Self::NoContactInPaperScenarios { controller }
-            | Self::NoContactInTraffic { controller }
+            | Self::NoCollisionInScenarioFiles { controller }
+            | Self::NoCollisionInSpace { controller, .. }
             | Self::RateAtMost { controller, .. }
             | Self::NeedlessBrakingAtMost { controller, .. }
             | Self::LeftBehindAtMost { controller, .. }
@@ -107,6 +144,7 @@ impl Gate {
             | Self::SuitePassed { controller, .. }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted {} | Self::NothingWorse {} => Vec::new(),
+            Self::NoContactInTraffic(never) => match *never {},
         }
     }
 
@@ -127,7 +165,8 @@ impl Gate {
             }
             Self::RateNotAbove { .. } if config.draws == 0 => Some(("require", "needs `draws` above 0".to_owned())),
             Self::RateNotAbove { space, .. } => space_problem(space, config),
-            Self::NoContactInTraffic { .. } if config.scenarios.is_empty() && config.recordings.is_empty() => {
+            Self::NoCollisionInSpace { space, .. } => simulated_space_problem(space, config),
+            Self::NoCollisionInScenarioFiles { .. } if config.scenarios.is_empty() && config.recordings.is_empty() => {
                 Some(("require", "needs `scenarios` or `recordings`".to_owned()))
             }
             Self::NeedlessBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
@@ -145,10 +184,11 @@ impl Gate {
                 let paper = found.paper_scenarios.as_ref().map_or(&[][..], |paper| &paper.scenarios);
                 no_contact(paper, controller)
             }
-            Self::NoContactInTraffic { controller } => match &found.traffic {
+            Self::NoCollisionInScenarioFiles { controller } => match &found.traffic {
                 Some(traffic) => no_contact(&traffic.scenarios, controller),
                 None => (false, "the configuration names no scenarios".to_owned()),
             },
+            Self::NoCollisionInSpace { controller, space } => no_collision_in_space(plan, found, controller, space),
             Self::RateAtMost { controller, percent, space } => {
                 rate_at_most(plan, found, controller, *percent, space.as_deref())
             }
@@ -166,6 +206,7 @@ impl Gate {
             Self::SuitePassed { controller, suite } => suite_passed(plan, found, controller, suite),
             Self::ProofsAccepted {} => proofs_accepted(found),
             Self::NothingWorse {} => nothing_worse(found.comparison.as_ref()),
+            Self::NoContactInTraffic(never) => match *never {},
         };
         GateResult { gate: self.words(plan), holds, because }
     }
@@ -179,7 +220,12 @@ impl Gate {
             Self::NoContactInPaperScenarios { controller } => {
                 format!("{controller}: no contact in the paper's scenarios")
             }
-            Self::NoContactInTraffic { controller } => format!("{controller}: no contact in the scenarios from files"),
+            Self::NoCollisionInScenarioFiles { controller } => {
+                format!("{controller}: no collision in scenario files and recordings")
+            }
+            Self::NoCollisionInSpace { controller, space } => {
+                format!("{controller}: no collision in random scenarios of `{space}`")
+            }
             Self::RateAtMost { controller, percent, space } => {
                 format!("{controller}: failure rate in `{}` at most {percent} %", named(space))
             }
@@ -201,6 +247,7 @@ impl Gate {
             }
             Self::ProofsAccepted {} => "every proof is accepted".to_owned(),
             Self::NothingWorse {} => "nothing is worse than before".to_owned(),
+            Self::NoContactInTraffic(never) => match *never {},
         }
     }
 }
@@ -225,6 +272,34 @@ fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, St
         (true, true) => (false, "it was never tried".to_owned()),
         (true, false) => (true, format!("0 of {} runs collide", passing.len())),
     }
+}
+
+/// Judges all random scenarios of a space that were simulated: those of `distributions`, and the drives in everyday traffic and danger.
+fn no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+    let place = plan.distributions.iter().position(|named| named.name == space);
+    let drawn = place.and_then(|place| found.distributions.spaces.get(place)).and_then(|drawn| {
+        let of_controller = drawn.controllers.iter().find(|sampled| sampled.controller == controller)?;
+        Some(SpaceTally {
+            scenarios: drawn.draws,
+            collisions: of_controller.collisions,
+            unanswered: of_controller.silent(),
+            cut_short: of_controller.cut_short,
+        })
+    });
+    let everyday = found.usefulness.as_ref().and_then(|all| all.tally(controller, space));
+    // Both begin with the same scenarios, so that the larger number contains the smaller.
+    let all = drawn.into_iter().chain(everyday).max_by_key(|tally| tally.scenarios);
+    let Some(SpaceTally { scenarios: scenarios @ 1.., collisions, unanswered, cut_short }) = all else {
+        return (false, "no random scenarios of it were simulated".to_owned());
+    };
+    let mut because = format!("{collisions} of {scenarios} random scenarios collide");
+    if unanswered > 0 {
+        because += &format!(", and in {unanswered} the controller gives no answer");
+    }
+    if cut_short > 0 {
+        because += &format!(", and {cut_short} end early in a collision of other vehicles");
+    }
+    (collisions + unanswered == 0 && cut_short < scenarios, because)
 }
 
 /// The strongest that is known, whether it was counted for a certificate or not.
@@ -361,6 +436,23 @@ fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<(&'sta
         Some(space) if !known.contains(space) => Some(("space", format!("`{space}` is not among `distributions`"))),
         None if known.len() > 1 => Some(("space", "must be named, since there are several `distributions`".to_owned())),
         _ => None,
+    }
+}
+
+/// Returns what keeps an assessment from simulating random scenarios of a space.
+fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'static str, String)> {
+    let is_drawn = config.distributions().iter().any(|known| known == space);
+    let is_driven = EVERYDAY_SPACES.contains(&space);
+    match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
+        true => None,
+        false if is_drawn => Some(("require", "needs `draws` above 0".to_owned())),
+        false if is_driven => {
+            Some(("require", format!("needs `everyday_draws` above 0, or `{space}` in `distributions`")))
+        }
+        false => {
+            let [traffic, high_risk] = EVERYDAY_SPACES;
+            Some(("space", format!("`{space}` is neither among `distributions` nor `{traffic}` or `{high_risk}`")))
+        }
     }
 }
 

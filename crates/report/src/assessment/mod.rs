@@ -269,7 +269,9 @@ pub fn assess_until(
     };
     assessment.comparison = against.and_then(|earlier| Comparison::of(earlier, &assessment));
     // Gates come last: they judge everything else.
-    assessment.summary.gates = plan.config.gates.iter().map(|gate| gate.judge(plan, &assessment)).collect();
+    let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.judge(plan, &assessment)).collect();
+    assessment.first_page.gates.clone_from(&gates);
+    assessment.summary.gates = gates;
     Ok(assessment)
 }
 

@@ -14,6 +14,7 @@ use super::planned_suite::PlannedSuite;
 use crumple_world::control::ControllerSpec;
 use crumple_world::digest::sha256;
 use crumple_world::measure::Specification;
+use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::recording::{Dropped, ImportOptions, Imported, ImportedScenario, import};
@@ -137,6 +138,12 @@ impl AssessmentPlan {
         let loading = Loading { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.controllers(&config)?;
         loading.plan(config, controllers)
+    }
+
+    /// Returns warnings about rules that are judged at the first instant only.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let formulas = self.config.search.rules.iter().filter_map(|rule| rule.parse::<Formula>().ok());
+        formulas.filter_map(|formula| Some(format!("search.rules: {}", formula.warning()?)))
     }
 
     /// Whether a gate needs an earlier assessment to compare with.
@@ -279,7 +286,7 @@ impl Loading<'_> {
         let traffic = self.traffic(&config, recorded)?;
         let spaces = self.spaces("search.spaces", &config.searched())?;
         let distributions = self.spaces("distributions", &config.distributions())?;
-        self.check_rules(&config.search.rules, &spaces)?;
+        self.check_rules(&mut config.search.rules, &spaces)?;
         let clash = distributions
             .iter()
             .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
@@ -307,21 +314,24 @@ impl Loading<'_> {
         Ok(plan)
     }
 
-    /// Every rule fits every space that is searched.
-    fn check_rules(&self, rules: &[String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
-        for (index, rule) in rules.iter().enumerate() {
+    /// Checks that every rule fits every space that is searched, and writes each as it was read: a formula with all its parentheses.
+    fn check_rules(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
+        let mut earlier: Vec<String> = Vec::new();
+        for (index, rule) in rules.iter_mut().enumerate() {
             let wrong = |problem: String| self.wrong(&format!("search.rules[{index}]"), problem);
             if rule == Specification::NO_CONTACT {
                 return Err(wrong("contacts are searched for anyway".to_owned()));
             }
-            if rules.iter().take(index).any(|known| known == rule) {
-                return Err(wrong(format!("`{rule}` is named twice")));
-            }
             for named in spaces {
                 let nominal = named.space.scenario(&named.space.nominal());
                 let nominal = nominal.map_err(|error| wrong(error.to_string()))?;
-                Specification::parse(rule, &nominal).map_err(|error| wrong(format!("in {}: {error}", named.name)))?;
+                let read = Specification::parse(rule, &nominal);
+                *rule = read.map_err(|error| wrong(format!("in {}: {error}", named.name)))?.to_string();
             }
+            if earlier.contains(rule) {
+                return Err(wrong(format!("`{rule}` is named twice")));
+            }
+            earlier.push(rule.clone());
         }
         Ok(())
     }

@@ -44,7 +44,7 @@ pub enum Unit {
     #[serde(rename = "m")]
     Metre,
     /// Metres a second squared.
-    #[serde(rename = "m/s2")]
+    #[serde(rename = "m/s2", alias = "m/s²", alias = "m/s^2")]
     Mps2,
     /// Standard gravity, 9.80665 m/s².
     #[serde(rename = "g")]

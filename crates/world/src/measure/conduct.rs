@@ -28,7 +28,9 @@ const NOTHING_TO_JUDGE: f64 = f64::INFINITY;
 
 const NO_BRAKING: &str = "no braking without cause";
 const NO_AMPLIFICATION: &str = "no amplification";
-const IMPOSED: [&str; 2] = ["imposed braking at most", "m/s2"];
+const IMPOSED: &str = "imposed braking at most";
+/// The unit as it is printed, and other ways in which a user may write it.
+const UNIT: [&str; 3] = ["m/s2", "m/s²", "m/s^2"];
 
 impl Conduct {
     /// How all of them are written, for a reader.
@@ -58,7 +60,7 @@ impl fmt::Display for Conduct {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoBrakingWithoutCause => out.write_str(NO_BRAKING),
-            Self::ImposedBraking { at_most_mps2 } => write!(out, "{} {at_most_mps2} {}", IMPOSED[0], IMPOSED[1]),
+            Self::ImposedBraking { at_most_mps2 } => write!(out, "{IMPOSED} {at_most_mps2} {}", UNIT[0]),
             Self::NoAmplification => out.write_str(NO_AMPLIFICATION),
         }
     }
@@ -81,7 +83,8 @@ impl FromStr for Conduct {
             NO_BRAKING => Ok(Self::NoBrakingWithoutCause),
             NO_AMPLIFICATION => Ok(Self::NoAmplification),
             _ => {
-                let number = text.strip_prefix(IMPOSED[0]).and_then(|rest| rest.strip_suffix(IMPOSED[1]));
+                let rest = text.strip_prefix(IMPOSED);
+                let number = rest.and_then(|rest| UNIT.iter().find_map(|unit| rest.strip_suffix(unit)));
                 let limit = number.and_then(|number| number.trim().parse::<f64>().ok());
                 let at_most_mps2 = limit.filter(|limit| limit.is_finite() && *limit > 0.0).ok_or_else(unknown)?;
                 Ok(Self::ImposedBraking { at_most_mps2 })
@@ -103,6 +106,10 @@ mod tests {
     fn rules_survive_their_texts_and_others_are_none() {
         for text in Conduct::WRITTEN {
             assert_eq!(text.parse::<Conduct>().unwrap().to_string(), text);
+        }
+        for unit in UNIT {
+            let text = format!("imposed braking at most 4 {unit}");
+            assert_eq!(text.parse(), Ok(Conduct::ImposedBraking { at_most_mps2: 4.0 }), "{text}");
         }
         for text in [
             "",

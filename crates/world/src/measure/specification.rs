@@ -194,6 +194,15 @@ impl Specification {
         Ok(Self::Formula(formula))
     }
 
+    /// Returns a warning if some part of a formula is judged at the first instant only.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        match self {
+            Self::Formula(formula) => formula.warning(),
+            Self::NoContact | Self::Conduct(_) => None,
+        }
+    }
+
     /// What must be kept of a run to judge it.
     #[must_use]
     pub fn keep(&self) -> RecordingLevel {

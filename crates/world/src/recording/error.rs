@@ -164,6 +164,17 @@ pub enum ValueProblem {
     /// Empty, where a row is nothing without it.
     #[error("must not be empty")]
     Missing,
+    /// A row that goes on with an event after rows of other events.
+    #[error(
+        "event `{event}`, whose last row was line {last_line}, goes on here after rows of other events: sort the rows by event and then by \
+         time, or give different events different names"
+    )]
+    Interleaved {
+        /// The event.
+        event: String,
+        /// Line of its row before, from 1.
+        last_line: u64,
+    },
     /// A time beyond any clock.
     #[error("must be from -{limit} to {limit}, found {}", short(*found))]
     OutOfRange {

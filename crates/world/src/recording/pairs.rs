@@ -3,6 +3,7 @@
 //! Rows of one event stand together; each event becomes a platoon of two. The relative speed supplies whichever of the two
 //! speeds is missing, and contradicts them or not.
 
+use std::collections::HashMap;
 use std::io::Read;
 use std::{iter, mem};
 
@@ -12,6 +13,7 @@ use super::map::{MapSpec, PairsSpec, Sign, SpeedSpec};
 use super::series::{Clock, Quantity, Series, bridge};
 use super::table::{Column, Extent, Row, Table, excerpt};
 use super::{Format, Platoon, Recording, Vehicle};
+use crate::digest::sha256;
 
 /// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
 const SPEED_AGREEMENT_MPS: f64 = 0.1;
@@ -64,6 +66,8 @@ struct Events<'m> {
     /// Its column, and the full text: events may differ in their last letter only.
     column: Option<Column>,
     event: Option<String>,
+    /// Last time and line of each event that is finished, by its hash: names may be long.
+    finished: HashMap<String, (f64, u64)>,
     clock: Clock,
     time_s: Vec<f64>,
     line: Vec<u64>,
@@ -94,6 +98,7 @@ impl<'m> Events<'m> {
             platoons: Vec::new(),
             column: pairs.event.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?,
             event: None,
+            finished: HashMap::new(),
             clock: Clock::new(Column::of_time(names, &map.time)?),
             time_s: Vec::new(),
             line: Vec::new(),
@@ -120,6 +125,7 @@ impl<'m> Events<'m> {
             if self.platoons.len() >= MOST_EVENTS {
                 return row.too_large(MOST_EVENTS, "events");
             }
+            self.check_continues_none(row, event)?;
             self.event = Some(event.to_owned());
         }
         let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
@@ -133,6 +139,18 @@ impl<'m> Events<'m> {
         self.followers_mps.push(follower_mps);
         self.leaders_mps.push(leader_mps);
         Ok(())
+    }
+
+    /// Refuses a row that goes on with an event after rows of others. One that begins before the end of an earlier event of that name is
+    /// another event.
+    fn check_continues_none(&self, row: &Row<'_>, event: &str) -> Result<(), RecordingError> {
+        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
+            return Ok(());
+        };
+        match self.clock.read(row)? > last_s {
+            true => row.wrong(&column.name, ValueProblem::Interleaved { event: excerpt(event), last_line }),
+            false => Ok(()),
+        }
     }
 
     /// Follower's and leader's speed from any two of the three columns, or neither if they contradict one another.
@@ -167,6 +185,9 @@ impl<'m> Events<'m> {
         self.clock.restart();
         let Some(event) = self.event.take() else { return };
         let (time_s, line) = (mem::take(&mut self.time_s), mem::take(&mut self.line));
+        if let (Some(&last_s), Some(&last_line)) = (time_s.last(), line.last()) {
+            self.finished.insert(sha256(&event), (last_s, last_line));
+        }
         let lists = [&mut self.gap.values, &mut self.followers_mps, &mut self.leaders_mps];
         let [gaps_m, followers_mps, leaders_mps] = lists.map(mem::take);
         let mut lists = [gaps_m, followers_mps, leaders_mps];

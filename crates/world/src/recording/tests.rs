@@ -128,6 +128,10 @@ fn unusable_files_name_line_and_column() {
         (EVENTS.replace("gap_m", "gap"), "a.csv:1: gap_m: there is no such column among `event, time_s, gap, foll"),
         (EVENTS.replace("\n", ",gap_m\n"), "a.csv:1: gap_m: named twice"),
         (format!("{EVENTS}1,0.0,5,1,0,1\n,0.1,5,1,0,1\n"), "a.csv:3: event: must not be empty"),
+        (
+            format!("{EVENTS}1,0.0,5,1,0,1\n2,0.0,5,1,0,1\n1,0.1,5,1,0,1\n"),
+            "a.csv:4: event: event `1`, whose last row was line 2, goes on here after rows of other events: sort the rows by event",
+        ),
         (format!("{EVENTS}1,0.0,5,1\n"), "a.csv:2: relative_speed_mps: 4 fields in a row of 6"),
         (EVENTS.replace("event", "\"event\""), "a.csv:1: `\"event\"`: neither an OpenACC"),
         (format!("{named}\"0.0\",1,2,3\n"), "a.csv:7: Time: must be a finite number or empty, found `\"0.0\"`"),
@@ -200,6 +204,14 @@ fn each_car_following_event_is_a_platoon_of_two() {
     let said = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
     assert!(said.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows"));
     assert!(said.contains("a.csv:6: gap_m: 1 impossible spacings"), "{said}");
+}
+
+/// Files put together of several count their events anew, from time 0 on.
+#[test]
+fn an_event_that_begins_anew_is_another_one() {
+    let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
+    let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
+    assert_eq!(recording.platoons.iter().map(Platoon::event).collect::<Vec<_>>(), [Some("1"), Some("2"), Some("1")]);
 }
 
 #[test]

@@ -9,7 +9,8 @@ use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
 use crate::assessment::claims::{Claim, Domain, Property, Rule, Standing, Strength};
 use crate::assessment::markdown::{Inline, Markdown};
 use crate::assessment::prose::prose;
-use crate::assessment::{AssessmentPlan, Part};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{AssessmentPlan, GateResult, Part};
 use crate::draw::Svg;
 use crumple_world::quoted::Terminal;
 
@@ -41,6 +42,9 @@ pub struct FirstPage {
     pub speaks_for: Vec<String>,
     /// What is taken for granted.
     pub assumed: Vec<&'static str>,
+    /// The gates, which in JSON are part of the summary.
+    #[serde(skip)]
+    pub(in crate::assessment) gates: Vec<GateResult>,
     #[serde(skip)]
     worst: Vec<ScenarioCases>,
     #[serde(skip)]
@@ -101,6 +105,8 @@ impl FirstPage {
             against,
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
+            // Gates judge all other parts, so that they are known last.
+            gates: Vec::new(),
             worst: searches.worst_of(subject, MOST_SHOWN),
             sides: usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
@@ -241,7 +247,40 @@ impl FirstPage {
         let text = format!("{}\n{}\n", Terminal(&self.question), Terminal(&self.words));
         text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
     }
+
+    /// Returns the gates and whether each holds, for the end of a terminal's output; nothing if there are none.
+    #[must_use]
+    pub fn gates_plain(&self) -> String {
+        let line = |gate: &GateResult| {
+            let verdict = if gate.holds { "holds " } else { "FAILED" };
+            format!("  {verdict}  {}\n", Terminal(&format!("{} ({})", gate.gate, gate.because)))
+        };
+        let lines: String = self.gates.iter().map(line).collect();
+        if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.gates_words()) }
+    }
+
+    /// How many gates hold.
+    fn gates_words(&self) -> String {
+        let holding = self.gates.iter().filter(|gate| gate.holds).count();
+        match (holding, self.gates.len()) {
+            (1, 1) => "The gate holds.".to_owned(),
+            (all, of) if all == of => format!("All {of} gates hold."),
+            (holding, of) => format!("{holding} of {of} gates hold."),
+        }
+    }
+
+    fn gate_table(&self) -> Table {
+        let mut table = Table::new(&["gate", "result"]);
+        for gate in &self.gates {
+            let words = format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
+            table.row(vec![Cell::text(&gate.gate), Cell::judged(words, gate.holds)]);
+        }
+        table
+    }
 }
+
+const GATES: &str =
+    "The configuration states them, and they alone decide the exit code. The answer above does not depend on them.";
 
 const FOR_WHOM: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
     is and how strong, where to look first. The parts that follow hold the evidence, the appendix lists and methods.";
@@ -256,6 +295,11 @@ impl Part for FirstPage {
             p { (FOR_WHOM) }
             p { b { (prose(&self.question)) } }
             p class=(self.answer.class()) { (prose(&self.words)) }
+            @if !self.gates.is_empty() {
+                h3 { "Gates" }
+                p { b { (self.gates_words()) } " " (GATES) }
+                (self.gate_table().html())
+            }
             div.sides {
                 div { h3 { "Against it" } ul { @for line in &self.against { li { (prose(line)) } } @if self.against.is_empty() { li { "nothing that was found" } } } }
                 div { h3 { "For it" } ul { @for line in &self.speaks_for { li { (prose(line)) } } @if self.speaks_for.is_empty() { li { "nothing that was shown" } } } }
@@ -281,6 +325,10 @@ impl Part for FirstPage {
         text.paragraph(FOR_WHOM);
         text.paragraph(Inline::strong(&self.question));
         text.paragraph(self.words.as_str());
+        if !self.gates.is_empty() {
+            text.paragraph(format!("{} {GATES}", self.gates_words()).as_str());
+            self.gate_table().markdown(&mut text);
+        }
         text.paragraph("Against it:");
         text.list(self.against.iter().map(String::as_str));
         text.paragraph("For it:");

@@ -12,11 +12,11 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateInterval, bound, checker_file, kernel_certificate, shipped_kernels};
+use crumple_search::evidence::{RateInterval, bound, checker_file, kernel_certificate, lies_within, shipped_kernels};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
+use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in, built_in_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
@@ -285,10 +285,10 @@ pub(super) fn proof(
     let status = ProofStatus::of(certificate, policy, counts_others);
     Ok(Proof {
         statement: certificate.statement.name(),
-        about: about(certificate),
+        about: about(plan, &name, certificate, policy),
         file: format!("certificates/{name}.json"),
         sha256,
-        speaks_of: speaks_of(plan, certificate),
+        speaks_of: speaks_of(plan, &name, certificate, policy),
         status,
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
@@ -301,7 +301,7 @@ pub(super) fn proof(
     })
 }
 
-fn about(certificate: &Certificate) -> String {
+fn about(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> String {
     match &certificate.statement {
         Statement::Rate(rate) => {
             let of = |key: &str| rate.registration.configuration.get(key).map_or("", String::as_str);
@@ -313,8 +313,8 @@ fn about(certificate: &Certificate) -> String {
             format!("{first} against {second} in {} runs of space `{}`", two.registration.runs, of("space"))
         }
         Statement::Reach(reach) => {
-            let about = &certificate.provenance.scenario;
-            format!("{}, by its own word around {about}: {}", around(reach).name, ranges(reach).join(", "))
+            let ranges = ranges(reach).join(", ");
+            format!("{}: {ranges}", initial_states(plan, name, (certificate, reach), policy).name)
         }
         Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
         Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
@@ -348,7 +348,7 @@ fn ranges(reach: &Reach) -> Vec<String> {
     words.chain(led.map(|limit_mps2| format!("leader brakes as it likes, at up to {limit_mps2} m/s²"))).collect()
 }
 
-fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
+fn speaks_of(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> SpeaksOf {
     match &certificate.statement {
         Statement::Rate(rate) => registered(plan, &rate.registration),
         Statement::Comparison(two) => registered(plan, &two.registration),
@@ -361,7 +361,7 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
                 Some(subject) => SpeaksOf::Claim(Box::new(Claim {
                     subject,
                     property: Property::NoContact,
-                    domain: Domain::Box { around: around(reach) },
+                    domain: Domain::Box { around: initial_states(plan, name, (certificate, reach), policy) },
                 })),
                 None => SpeaksOf::Foreign { because: "its policy is not among the controllers".to_owned() },
             }
@@ -371,8 +371,14 @@ fn speaks_of(plan: &AssessmentPlan, certificate: &Certificate) -> SpeaksOf {
     }
 }
 
-/// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown.
-fn around(reach: &Reach) -> Known {
+/// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown. Its name is that of a
+/// scenario of the report whose initial state lies in the box, and else that of the certificate: its own word is not checked.
+fn initial_states(
+    plan: &AssessmentPlan,
+    certificate_name: &str,
+    (certificate, reach): (&Certificate, &Reach),
+    policy: Option<&[u8]>,
+) -> Known {
     let mut content = format!(
         "{:?} {:?} {:?} {:?} {:?}",
         reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
@@ -384,10 +390,19 @@ fn around(reach: &Reach) -> Known {
         content += &format!(" follower {law:?}");
     }
     let horizon_s = reach.step_s * f64::from(reach.steps);
-    // What a certificate calls its scenario is nobody's word but its own.
-    let digest = sha256(&content);
-    let name = format!("the box of starts {} for {horizon_s} s", digest.get(..8).unwrap_or_default());
-    Known { name, sha256: digest }
+    let is_inside = |scenario: &Scenario| lies_within(certificate, scenario, policy);
+    let built_in = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(is_inside);
+    let inside =
+        built_in.or_else(|| plan.traffic.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
+    let around = match inside {
+        Some(scenario) => format!("around `{}`", scenario.spec().name),
+        None => format!("of certificate `{certificate_name}`"),
+    };
+    let any_braking = if reach.leader_brakes_at_most_mps2.is_some() { ", however the leader brakes," } else { "" };
+    Known {
+        name: format!("the box of initial states {around}{any_braking} for {horizon_s} s"),
+        sha256: sha256(&content),
+    }
 }
 
 /// The space that a registration names, if the report draws from it.

@@ -6,6 +6,7 @@ use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan};
 use crumple_search::evidence::exposed::{ExposedRate, Figure, Probability, WithData, run_again};
+use crumple_world::digits::nearest;
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
 
@@ -55,8 +56,8 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
         "with data",
         "deviation by count, data, runs",
     ]);
-    let interval = |figure: Figure| format!("{:.2e} – {:.2e}", figure.lower, figure.upper);
-    let shown = |figure: Figure| format!("{:.2e} ({})", figure.estimate, interval(figure));
+    let interval = |figure: Figure| format!("{} – {}", nearest(figure.lower, 3), nearest(figure.upper, 3));
+    let shown = |figure: Figure| format!("{} ({})", nearest(figure.estimate, 3), interval(figure));
     for (controller, rate) in rates {
         let data = |of: fn(&WithData) -> Figure| rate.with_data.map_or("–".to_owned(), |data| interval(of(&data)));
         let percent =

@@ -184,7 +184,7 @@ impl Failure {
         let trace = simulate(&run, RecordingLevel::Trace).trace;
         let road = format!("{}.{ROAD}", self.short_name());
         // None of a run that is too long for such a file, or in which vehicles change lanes.
-        self.run = trace.and_then(|trace| trajectories(&scenario, &trace, &road).ok());
+        self.run = trace.and_then(|trace| trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
         Ok(self)
     }
 

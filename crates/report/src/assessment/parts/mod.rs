@@ -59,6 +59,7 @@ pub(super) use summary::Findings;
 pub use summary::{ClaimRow, NamedThing, Summary};
 pub use traffic::Traffic;
 pub(super) use traffic::scenario_file;
+pub(super) use usefulness::EVERYDAY_SPACES;
 pub use usefulness::{Useful, Usefulness};
 pub(super) use worst::BUDGET;
 pub use worst::{Mildest, WorstProfile, WorstProfiles};

@@ -87,9 +87,6 @@ impl Findings<'_> {
 /// The largest share of collisions that still counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
-/// Who decides what must hold.
-const GATES: &str = "Whoever configured this report chose them, and they decide how the program ends; the answer above does not depend on them.";
-
 impl Summary {
     pub(in crate::assessment) fn of(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
@@ -100,15 +97,6 @@ impl Summary {
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
         Self { subject, controllers, named: named(plan, found), claims: rows, gates: Vec::new(), asked }
-    }
-
-    fn gate_table(&self) -> Table {
-        let mut table = Table::new(&["what must hold", "does it?"]);
-        for gate in &self.gates {
-            let words = format!("{}: {}", if gate.holds { "yes" } else { "no" }, gate.because);
-            table.row(vec![Cell::text(&gate.gate), Cell::judged(words, gate.holds)]);
-        }
-        table
     }
 
     fn table(&self, columns: &[usize]) -> Table {
@@ -300,11 +288,6 @@ impl Part for Summary {
             @if !others.is_empty() {
                 details { summary { "the other controllers" } (self.table(&others).html()) }
             }
-            @if !self.gates.is_empty() {
-                h3 { "Gates" }
-                p { (GATES) }
-                (self.gate_table().html())
-            }
             details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
         }
     }
@@ -317,11 +300,6 @@ impl Part for Summary {
         if !others.is_empty() {
             text.paragraph("The other controllers:");
             self.table(&others).markdown(&mut text);
-        }
-        if !self.gates.is_empty() {
-            text.heading(3, "Gates");
-            text.paragraph(GATES);
-            self.gate_table().markdown(&mut text);
         }
         text
     }

@@ -9,6 +9,7 @@ use super::distribution::{Draw, run_draws};
 use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
+use crate::assessment::gate::SpaceTally;
 use crate::assessment::markdown::Markdown;
 use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
@@ -29,8 +30,8 @@ const ANCHOR: &str = "usefulness";
 /// Confidence of the intervals.
 const CONFIDENCE: f64 = 0.95;
 
-/// Where nothing threatens, and where something does.
-const SPACES: [&str; 2] = ["traffic", "high-risk"];
+/// The spaces without and with danger, by their built-in names.
+pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
 
 /// Vehicles behind the leader of the line in which a disturbance is followed.
 const FOLLOWERS: usize = 5;
@@ -128,7 +129,7 @@ impl Usefulness {
 
     fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
         let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
-        let [Some(traffic), Some(high_risk)] = SPACES.map(built_in_space) else { return Ok(None) };
+        let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else { return Ok(None) };
         let spaces =
             [&traffic, &high_risk].map(|space| space_file::to_toml(space).map(|text| Known::of(space.name(), text)));
         let [traffic_known, high_risk_known] = spaces;
@@ -157,12 +158,25 @@ impl Usefulness {
     /// The spaces with what they are.
     pub(super) fn abouts(&self) -> Vec<(String, String)> {
         let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
-        SPACES.iter().filter_map(|name| of(name)).collect()
+        EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
     }
 
     /// Of one controller.
     pub(in crate::assessment) fn of(&self, controller: &str) -> Option<&Useful> {
         self.controllers.iter().find(|useful| useful.controller == controller)
+    }
+
+    /// Returns how a controller fared in a space, if that is one of the two.
+    pub(in crate::assessment) fn tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
+        let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.of(controller)?);
+        let failures = [useful.failures, useful.high_risk_failures];
+        let unanswered = useful.silent()[place];
+        Some(SpaceTally {
+            scenarios: self.draws,
+            collisions: failures[place].saturating_sub(unanswered),
+            unanswered,
+            cut_short: useful.cut_short[place],
+        })
     }
 
     /// The line as a domain.
@@ -269,7 +283,7 @@ impl Usefulness {
     /// Of each controller that gave no answer somewhere: how often, and why.
     fn silent(&self) -> Vec<String> {
         let of = |useful: &Useful| {
-            let places = ["traffic", "high-risk"].into_iter().zip(&useful.unanswered);
+            let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
             let words = places.filter_map(|(place, silent)| {
                 Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.words(self.draws)))
             });

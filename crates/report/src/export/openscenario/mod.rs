@@ -76,19 +76,26 @@ fn in_one_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
 /// a last vertex holds the place, so that no simulator takes over before the scenario stops.
 ///
 /// Read back, positions are within [`POSITION_TOLERANCE_M`], and speeds over more than one step within [`SPEED_TOLERANCE_MPS`].
-/// `road` is the name of the OpenDRIVE file as the scenario gives it.
+/// `controller` names what drove the vehicles under test, for the header; a description of the scenario may name another one. `road`
+/// is the name of the OpenDRIVE file as the scenario gives it.
 ///
 /// # Errors
 /// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
 /// lane.
-pub fn trajectories(scenario: &Scenario, trace: &Trace, road: &str) -> Result<OpenScenario, OpenScenarioError> {
+pub fn trajectories(
+    scenario: &Scenario,
+    trace: &Trace,
+    controller: Option<&str>,
+    road: &str,
+) -> Result<OpenScenario, OpenScenarioError> {
     in_one_lane(scenario)?;
     let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertices(&trace.time_s, track)).collect();
     let vertices = bounded(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
     let moves: Vec<_> =
         kept.iter().enumerate().map(|(index, kept)| polyline::Trajectory { index, trace, kept, end_s }).collect();
-    let about = "what every vehicle did, as trajectories";
+    let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
+    let about = &format!("what every vehicle did{under}, as trajectories");
     let file = storyboard::File { scenario, road, about, end_s, leaves_drivers: false };
     Ok(OpenScenario {
         scenario: document(|xml| file.write(xml, &moves))?,
@@ -176,5 +183,6 @@ fn reference_m(front_m: f64, length_m: f64) -> f64 {
 /// A scenario's name and what it is about, as a description.
 fn described(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
-    text(&format!("crumple scenario {}: {about}. {}", spec.name, spec.about)).trim_end().to_owned()
+    let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };
+    text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()
 }

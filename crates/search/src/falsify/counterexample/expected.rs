@@ -144,8 +144,7 @@ impl Expected {
     /// [`ReplayError`] if something it names is not there or does not fit.
     pub fn replay(&self, folder: &Path) -> Result<Replayed, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
-        let contender = NamedController::find(&self.controller, folder)?;
-        self.check_policy(&contender, self.policy_sha256.as_ref())?;
+        let contender = self.find_controller(folder)?;
         let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
         if let (Some(Contrast::Against(other)), Some(ContrastRecord::Against { policy_sha256, .. })) =
             (&contrast, &self.contrast)
@@ -174,6 +173,16 @@ impl Expected {
             && on_time
             && finer_agrees != self.dt_fragile;
         Ok(Replayed { nominal, finer, as_recorded })
+    }
+
+    /// Finds the controller that the verdict is about. A path starts at `folder`.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if there is none, or if it is another policy of that name.
+    pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
+        let found = NamedController::find(&self.controller, folder)?;
+        self.check_policy(&found, self.policy_sha256.as_ref())?;
+        Ok(found)
     }
 
     /// Whether somebody is who the verdict is about.

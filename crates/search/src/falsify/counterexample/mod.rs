@@ -18,6 +18,7 @@ mod avoidability;
 mod examine;
 mod expected;
 mod record;
+mod records;
 mod severity;
 mod shrink;
 mod together;
@@ -31,6 +32,7 @@ pub(in crate::falsify) use examine::Examiner;
 pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
 pub use record::SAME_WITHIN;
 pub(in crate::falsify) use record::{Examined, ExaminedRow, Recorder};
+pub use records::{RecordedVerdicts, VerdictRecords};
 
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -200,6 +200,45 @@ impl Formula {
         }
     }
 
+    /// Returns the largest parts that no temporal operator governs. They are judged at the first sample only.
+    #[must_use]
+    pub fn first_sample_parts(&self) -> Vec<&Self> {
+        if !self.has_temporal_operator() {
+            return vec![self];
+        }
+        match self {
+            Self::Not(inner) => inner.first_sample_parts(),
+            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
+                [left.first_sample_parts(), right.first_sample_parts()].concat()
+            }
+            Self::Compare(_) | Self::Always(..) | Self::Eventually(..) | Self::Until(..) => Vec::new(),
+        }
+    }
+
+    fn has_temporal_operator(&self) -> bool {
+        match self {
+            Self::Always(..) | Self::Eventually(..) | Self::Until(..) => true,
+            Self::Compare(_) => false,
+            Self::Not(inner) => inner.has_temporal_operator(),
+            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
+                left.has_temporal_operator() || right.has_temporal_operator()
+            }
+        }
+    }
+
+    /// Returns a warning if some part of the formula is judged at the first sample only: such formulas rarely say what was meant.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let parts: Vec<_> = self.first_sample_parts().iter().map(|part| format!("`{part}`")).collect();
+        let (no, are) = if parts.len() == 1 { ("has no", "is") } else { ("have no", "are") };
+        (!parts.is_empty()).then(|| {
+            format!(
+                "{} {no} temporal operator (`always`, `eventually`, `until`) and {are} judged at the first instant only; the formula was read as `{self}`",
+                parts.join(" and ")
+            )
+        })
+    }
+
     /// The names of the signals it refers to, in order of appearance, each once.
     #[must_use]
     pub fn signal_names(&self) -> Vec<&str> {

@@ -37,6 +37,29 @@ pub(super) enum Symbol {
     Comma,
 }
 
+impl Symbol {
+    /// Whether a formula may begin behind it.
+    pub(super) fn precedes_formula(self) -> bool {
+        matches!(
+            self,
+            Self::Not
+                | Self::And
+                | Self::Or
+                | Self::Implies
+                | Self::Always
+                | Self::Eventually
+                | Self::Until
+                | Self::Open
+                | Self::WindowClose
+        )
+    }
+
+    /// Whether it stands at the beginning of an operand, or of a window before one.
+    pub(super) fn begins_operand(self) -> bool {
+        matches!(self, Self::Not | Self::Always | Self::Eventually | Self::Open | Self::WindowOpen)
+    }
+}
+
 const KEYWORDS: [(&str, Symbol); 8] = [
     ("not", Symbol::Not),
     ("and", Symbol::And),

@@ -10,8 +10,8 @@
 //!
 //! A comparison is between two sums of signals and numbers, with a number times or divided by where wanted; `<`, `<=`,
 //! `>` and `>=` compare. Tightest first: comparisons; `not`, `always[a,b]`, `eventually[a,b]`; `until[a,b]` (two in a
-//! row need parentheses); `and`; `or`; `implies` (to the right). So `always x > 0 and y > 0` is `(always x > 0) and
-//! y > 0`. Bounds are in seconds, `inf` is allowed as the upper one, and without bounds they are `[0,inf]`. The usual
+//! row need parentheses); `and`; `or`; `implies` (to the right). So `always x > 0 and y > 0` is `(always (x > 0)) and
+//! (y > 0)`, and is printed so. Bounds are in seconds, `inf` is allowed as the upper one, and without bounds they are `[0,inf]`. The usual
 //! signs are read too: `¬ □ ◇ ∧ ∨ → ≤ ≥`, and `!`, `&&`, `||`, `->`.
 //!
 //! # Semantics

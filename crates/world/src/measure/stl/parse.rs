@@ -20,7 +20,7 @@ pub struct ParseError {
 #[non_exhaustive]
 pub enum SyntaxProblem {
     /// A character that has no meaning here.
-    #[error("`{found}` means nothing in a formula")]
+    #[error("`{found}` means nothing in a formula: {OPERATORS}")]
     Character {
         /// The character.
         found: char,
@@ -30,6 +30,12 @@ pub enum SyntaxProblem {
     Number {
         /// The text.
         found: String,
+    },
+    /// A word where only an operator can stand.
+    #[error("`{word}` is no operator: {OPERATORS}")]
+    UnknownOperator {
+        /// The word.
+        word: String,
     },
     /// Something else should stand here.
     #[error("expected {expected}, found {found}")]
@@ -64,21 +70,36 @@ pub enum SyntaxProblem {
     },
 }
 
+/// All operators, for errors.
+const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, `until[a,b]`, `<`, `<=`, `>` and `>=`";
+
 /// Recursion is bounded, so that no text can exhaust the stack.
-const DEEPEST: usize = 64;
+const MAX_DEPTH: usize = 64;
 /// Chains of operators make deep formulas, too.
-const MOST_TOKENS: usize = 4000;
+const MAX_TOKENS: usize = 4000;
+/// A printed formula has at most two parentheses for each other token.
+const MAX_PARENTHESES: usize = 2 * MAX_TOKENS;
 
 impl FromStr for Formula {
     type Err = ParseError;
 
     fn from_str(text: &str) -> Result<Self, ParseError> {
         let tokens = tokens(text)?;
-        if let Some((column, _)) = tokens.get(MOST_TOKENS) {
-            let problem = SyntaxProblem::TooLong { limit: MOST_TOKENS, what: "words and signs" };
-            return Err(ParseError { column: *column, problem });
+        let (mut others, mut parentheses) = (0, 0);
+        for (column, token) in &tokens {
+            match token {
+                Token::Symbol(Symbol::Open | Symbol::Close) => parentheses += 1,
+                _ => others += 1,
+            }
+            if others > MAX_TOKENS || parentheses > MAX_PARENTHESES {
+                let what = "words and signs, or more than twice as many parentheses";
+                return Err(ParseError {
+                    column: *column,
+                    problem: SyntaxProblem::TooLong { limit: MAX_TOKENS, what },
+                });
+            }
         }
-        let mut parser = Parser { tokens: &tokens, next: 0, depth: 0 };
+        let mut parser = Parser { tokens: &tokens, next: 0, depth: 0, operand_at: None };
         let formula = parser.implies()?.formula()?;
         parser.expect_end()?;
         Ok(formula)
@@ -124,6 +145,8 @@ struct Parser<'a> {
     tokens: &'a [(usize, Token)],
     next: usize,
     depth: usize,
+    /// The token behind the latest unary operator: a parenthesis there adds no depth to that of the operator.
+    operand_at: Option<usize>,
 }
 
 impl Parser<'_> {
@@ -142,12 +165,38 @@ impl Parser<'_> {
         Err(ParseError { column, problem: SyntaxProblem::Expected { expected, found: token.to_string() } })
     }
 
+    /// Returns the error about a token that stands where only an operator, a parenthesis or the end can.
+    fn expected_operator<T>(&self, expected: &'static str) -> Result<T, ParseError> {
+        let token = |index: usize| self.tokens.get(index).map(|(_, token)| token);
+        let begins_operand = match self.next.checked_sub(2).and_then(token) {
+            Some(Token::Symbol(symbol)) => symbol.precedes_formula(),
+            Some(_) => false,
+            None => true,
+        };
+        // `globally x > 1` and `globally[0,5] ...` name the operator first, and `x above 1` names it second.
+        let is_before = begins_operand
+            && match token(self.next) {
+                Some(Token::Symbol(symbol)) => symbol.begins_operand(),
+                Some(Token::Name(_)) => {
+                    matches!(token(self.next + 1), Some(Token::Symbol(symbol)) if *symbol != Symbol::Open)
+                }
+                _ => false,
+            };
+        let word = if is_before { self.next.checked_sub(1) } else { Some(self.next) };
+        match word.and_then(|index| self.tokens.get(index)) {
+            Some((column, Token::Name(word))) => {
+                Err(ParseError { column: *column, problem: SyntaxProblem::UnknownOperator { word: word.clone() } })
+            }
+            _ => self.expected(expected),
+        }
+    }
+
     fn expect(&mut self, symbol: Symbol, expected: &'static str) -> Result<(), ParseError> {
         if self.take(symbol) { Ok(()) } else { self.expected(expected) }
     }
 
     fn expect_end(&self) -> Result<(), ParseError> {
-        if *self.peek().1 == Token::End { Ok(()) } else { self.expected("an operator or the end") }
+        if *self.peek().1 == Token::End { Ok(()) } else { self.expected_operator("an operator or the end") }
     }
 
     fn implies(&mut self) -> Result<Part, ParseError> {
@@ -205,22 +254,28 @@ impl Parser<'_> {
     fn unary(&mut self) -> Result<Part, ParseError> {
         let column = self.peek().0;
         let formula = if self.take(Symbol::Not) {
-            Formula::Not(Box::new(self.nested(Self::unary)?.formula()?))
+            Formula::Not(Box::new(self.operand()?.formula()?))
         } else if self.take(Symbol::Always) {
             let window = self.window()?;
-            Formula::Always(window, Box::new(self.nested(Self::unary)?.formula()?))
+            Formula::Always(window, Box::new(self.operand()?.formula()?))
         } else if self.take(Symbol::Eventually) {
             let window = self.window()?;
-            Formula::Eventually(window, Box::new(self.nested(Self::unary)?.formula()?))
+            Formula::Eventually(window, Box::new(self.operand()?.formula()?))
         } else {
             return self.comparison();
         };
         Ok(Part { column, meaning: Meaning::Formula(formula) })
     }
 
+    /// Parses the operand of a unary operator.
+    fn operand(&mut self) -> Result<Part, ParseError> {
+        self.operand_at = Some(self.next);
+        self.nested(Self::unary)
+    }
+
     fn nested(&mut self, inner: fn(&mut Self) -> Result<Part, ParseError>) -> Result<Part, ParseError> {
-        if self.depth == DEEPEST {
-            let problem = SyntaxProblem::TooLong { limit: DEEPEST, what: "nested operators and parentheses" };
+        if self.depth == MAX_DEPTH {
+            let problem = SyntaxProblem::TooLong { limit: MAX_DEPTH, what: "nested operators and parentheses" };
             return Err(ParseError { column: self.peek().0, problem });
         }
         self.depth += 1;
@@ -337,9 +392,12 @@ impl Parser<'_> {
                 return Ok(Part { column, meaning: Meaning::Sum(terms, -constant) });
             }
             Token::Symbol(Symbol::Open) => {
+                let is_operand = self.operand_at == Some(self.next);
                 self.next += 1;
-                let part = self.nested(Self::implies)?;
-                self.expect(Symbol::Close, "an operator or `)`")?;
+                let part = if is_operand { self.implies()? } else { self.nested(Self::implies)? };
+                if !self.take(Symbol::Close) {
+                    return self.expected_operator("an operator or `)`");
+                }
                 return Ok(Part { column, meaning: part.meaning });
             }
             _ => return self.expected("a formula, a signal or a number"),

@@ -4,43 +4,37 @@ use std::fmt;
 
 use super::formula::{Comparison, Formula, Interval};
 
-impl Formula {
-    /// How tightly its outermost operator binds.
-    fn tightness(&self) -> u8 {
-        match self {
-            Self::Implies(..) => 1,
-            Self::Or(..) => 2,
-            Self::And(..) => 3,
-            Self::Until(..) => 4,
-            Self::Not(_) | Self::Always(..) | Self::Eventually(..) => 5,
-            Self::Compare(_) => 6,
-        }
-    }
-}
-
-/// A formula as an operand that must bind at least so tightly, in parentheses if it does not.
-struct Operand<'a>(&'a Formula, u8);
+/// An operand, in parentheses whatever it is: a reader need not know which operator binds tighter.
+struct Operand<'a>(&'a Formula);
 
 impl fmt::Display for Operand<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self(formula, tightness) = self;
-        if formula.tightness() < *tightness { write!(out, "({formula})") } else { write!(out, "{formula}") }
+        write!(out, "({})", self.0)
     }
+}
+
+/// The left operand of a chain of one operator, which needs no parentheses: `(a) and (b) and (c)`.
+fn first_operands(left: &Formula, continues_chain: bool, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    if continues_chain { write!(out, "{left}") } else { write!(out, "{}", Operand(left)) }
 }
 
 impl fmt::Display for Formula {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Compare(comparison) => write!(out, "{comparison}"),
-            Self::Not(inner) => write!(out, "not {}", Operand(inner, 5)),
-            Self::And(left, right) => write!(out, "{} and {}", Operand(left, 3), Operand(right, 4)),
-            Self::Or(left, right) => write!(out, "{} or {}", Operand(left, 2), Operand(right, 3)),
-            Self::Implies(left, right) => write!(out, "{} implies {}", Operand(left, 2), Operand(right, 1)),
-            Self::Always(window, inner) => write!(out, "always{window} {}", Operand(inner, 5)),
-            Self::Eventually(window, inner) => write!(out, "eventually{window} {}", Operand(inner, 5)),
-            Self::Until(left, window, right) => {
-                write!(out, "{} until{window} {}", Operand(left, 5), Operand(right, 5))
+            Self::Not(inner) => write!(out, "not {}", Operand(inner)),
+            Self::And(left, right) => {
+                first_operands(left, matches!(**left, Self::And(..)), out)?;
+                write!(out, " and {}", Operand(right))
             }
+            Self::Or(left, right) => {
+                first_operands(left, matches!(**left, Self::Or(..)), out)?;
+                write!(out, " or {}", Operand(right))
+            }
+            Self::Implies(left, right) => write!(out, "{} implies {}", Operand(left), Operand(right)),
+            Self::Always(window, inner) => write!(out, "always{window} {}", Operand(inner)),
+            Self::Eventually(window, inner) => write!(out, "eventually{window} {}", Operand(inner)),
+            Self::Until(left, window, right) => write!(out, "{} until{window} {}", Operand(left), Operand(right)),
         }
     }
 }
@@ -110,6 +104,66 @@ mod tests {
             if let Ok(formula) = text.parse::<Formula>() {
                 prop_assert_eq!(formula.to_string().parse::<Formula>(), Ok(formula));
             }
+        }
+    }
+
+    #[test]
+    fn every_operand_is_printed_in_parentheses() {
+        for (written, printed) in [
+            ("always v2.gap_m > 1 and v1.gap_m > 5", "(always (v2.gap_m > 1)) and (v1.gap_m > 5)"),
+            ("a > 1 or b > 1 and c > 1", "(a > 1) or ((b > 1) and (c > 1))"),
+            ("a > 1 and b > 1 and c > 1", "(a > 1) and (b > 1) and (c > 1)"),
+            ("a > 1 and (b > 1 and c > 1)", "(a > 1) and ((b > 1) and (c > 1))"),
+            ("a > 1 implies b > 1 implies c > 1", "(a > 1) implies ((b > 1) implies (c > 1))"),
+            ("not a > 1 until[0,2] b > 1", "(not (a > 1)) until[0,2] (b > 1)"),
+            ("eventually[0,5] always a > 1", "eventually[0,5] (always (a > 1))"),
+        ] {
+            assert_eq!(written.parse::<Formula>().unwrap().to_string(), printed);
+        }
+    }
+
+    #[test]
+    fn words_that_are_no_operators_are_named() {
+        for (text, column, word) in [
+            ("globally[0,5] a > 1", 1, "globally"),
+            ("G(a > 1)", 1, "G"),
+            ("not historically a > 1", 5, "historically"),
+            ("a > b xor c > 1", 7, "xor"),
+            ("a > 1 xor c > 1", 7, "xor"),
+            ("a above 1", 3, "above"),
+            ("(a > 1) & (b > 1)", 9, "&"),
+            ("always (a > 1 unless b > 1)", 15, "unless"),
+        ] {
+            let error = text.parse::<Formula>().unwrap_err();
+            assert_eq!(error.column, column, "{text}: {error}");
+            assert!(error.to_string().contains(&format!("`{word}`")), "{text}: {error}");
+            for operator in ["not", "and", "or", "implies", "always", "eventually", "until"] {
+                assert!(error.to_string().contains(operator), "{text}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn parts_without_a_temporal_operator_are_found() {
+        for (text, parts) in [
+            ("always a > 1 and b > 1", &["b > 1"][..]),
+            ("a > 1 and b > 1", &["(a > 1) and (b > 1)"]),
+            ("a > 1", &["a > 1"]),
+            ("a > 1 implies not eventually b > 1", &["a > 1"]),
+            ("always (a > 1 and b > 1) or (a > 1) until (b > 1)", &[]),
+        ] {
+            let formula: Formula = text.parse().unwrap();
+            let found: Vec<_> = formula.first_sample_parts().into_iter().map(ToString::to_string).collect();
+            assert_eq!(found, parts, "{text}");
+        }
+    }
+
+    #[test]
+    fn formulas_at_the_limits_can_be_printed_and_parsed_again() {
+        let chain = |operator: &str, parts: usize| vec!["a > 1"; parts].join(operator);
+        for text in ["not ".repeat(64) + "a > 1", chain(" and ", 1000), chain(" or ", 1000), chain(" implies ", 60)] {
+            let formula: Formula = text.parse().unwrap();
+            assert_eq!(formula.to_string().parse(), Ok(formula));
         }
     }
 

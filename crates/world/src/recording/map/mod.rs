@@ -325,14 +325,20 @@ impl RecordingMap {
 
     /// The map of OpenACC files.
     pub(super) fn openacc() -> Result<Self, RecordingError> {
-        built_in(include_str!("../built_in/openacc.toml"))
+        built_in(OPENACC)
     }
 
     /// The map of car-following events.
     pub(super) fn car_following() -> Result<Self, RecordingError> {
-        built_in(include_str!("../built_in/car-following.toml"))
+        built_in(CAR_FOLLOWING)
     }
 }
+
+/// Name and text of every map that is built in.
+pub const BUILT_IN_MAPS: [(&str, &str); 2] = [("openacc", OPENACC), ("car-following", CAR_FOLLOWING)];
+
+const OPENACC: &str = include_str!("../built_in/openacc.toml");
+const CAR_FOLLOWING: &str = include_str!("../built_in/car-following.toml");
 
 fn built_in(text: &str) -> Result<RecordingMap, RecordingError> {
     RecordingMap::from_toml(text, Path::new("built in")).map_err(|error| RecordingError::Map(Box::new(error)))

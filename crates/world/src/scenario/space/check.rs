@@ -56,6 +56,11 @@ const MOST_COORDINATES: usize = 1000;
 /// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
 const MOST_TOGETHER: usize = 14;
 
+/// Returns a unit with the exponents of this crate's units: `m/s2` and `m/s^2` are `m/s²`.
+fn with_superscripts(unit: &str) -> String {
+    unit.replace('^', "").replace('2', "²").replace('3', "³")
+}
+
 /// The classes, in words.
 fn class_names(between: &str) -> String {
     VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
@@ -143,10 +148,14 @@ impl Space {
         if matches!(field.target, Target::Gap(_) | Target::TimeGap(_) | Target::ClosingTime(_)) && !self.lines_up {
             return wrong(at("field"), "a space has gaps or positions, not both");
         }
-        if spec.unit != field.unit {
+        if with_superscripts(&spec.unit) != field.unit {
             let expected = match field.unit {
                 "" => format!("`{}` has no unit", spec.field),
-                unit => format!("the unit of `{}` is `{unit}`", spec.field),
+                unit => {
+                    let plain = unit.replace('²', "2").replace('³', "3");
+                    let or_plain = if plain == unit { String::new() } else { format!(" (or `{plain}`)") };
+                    format!("the unit of `{}` is `{unit}`{or_plain}", spec.field)
+                }
             };
             let found =
                 if spec.unit.is_empty() { "none is given".to_owned() } else { format!("found `{}`", spec.unit) };
@@ -204,6 +213,10 @@ impl Space {
             coordinates: start..start + field.length,
             nominal,
         });
+        // However a file writes the unit, equal spaces have equal texts.
+        if let Some(spec) = self.spec.parameters.get_mut(index) {
+            spec.unit = field.unit.to_owned();
+        }
         Ok(())
     }
 

@@ -59,7 +59,8 @@ pub struct ParameterSpec {
     pub name: String,
     /// Which field of the scenario, such as `environment.friction` or `vehicles[2].gap_m`.
     pub field: String,
-    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class or a driver.
+    /// Unit of the field, repeated so that a reader need not guess; `1` for a share, empty for a class or a driver. `m/s2` may stand for
+    /// `m/s²`.
     #[serde(default)]
     pub unit: String,
     /// Nominal value; by default the one in the base scenario.

@@ -235,6 +235,20 @@ fn everyday_traffic_needs_no_hard_braking_and_tells_who_does_it_all_the_same() {
     }
 }
 
+/// Keyboards have no superscripts, and a space is the same space however its units are written.
+#[test]
+fn units_may_be_written_without_superscripts() {
+    let uniform = "distribution.uniform = { low = 1.0, high = 5.0 }";
+    let text = |unit: &str| {
+        let space = over_paper_1(&parameter("vehicles[0].driver.brake.rate_mps2", unit, uniform)).unwrap();
+        file::to_toml(&space).unwrap()
+    };
+    assert_eq!(text("m/s2"), text("m/s²"));
+    assert_eq!(text("m/s^2"), text("m/s²"));
+    let refused = over_paper_1(&parameter("vehicles[0].driver.brake.rate_mps2", "m/s3", uniform)).unwrap_err();
+    assert!(refused.ends_with("is `m/s²` (or `m/s2`), found `m/s3`"), "{refused}");
+}
+
 #[test]
 fn mistakes_name_line_and_field() {
     let uniform = |low: f64, high: f64| format!("distribution.uniform = {{ low = {low}, high = {high} }}");

@@ -1,0 +1,78 @@
+//! Verdicts recorded for scenario files, found by the path of a file.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::{fs, iter};
+
+use super::{Expected, ExpectedFile};
+use crumple_world::scenario::file::{EXPECTED, FileError};
+
+/// A reader of recorded verdicts, which reads the record of each folder once.
+#[derive(Debug, Default)]
+pub struct VerdictRecords {
+    folders: HashMap<PathBuf, ExpectedFile>,
+}
+
+/// The verdicts recorded for one scenario file.
+#[derive(Debug)]
+pub struct RecordedVerdicts<'a> {
+    /// The folder of the record. Controllers that it names lie there.
+    pub folder: PathBuf,
+    /// The verdicts, at least one.
+    pub verdicts: Vec<&'a Expected>,
+}
+
+impl VerdictRecords {
+    /// Returns the verdicts on a scenario file that are recorded in its folder, or in the folder above, as for `originals/`; none of a file
+    /// that is in no record.
+    ///
+    /// # Errors
+    /// [`FileError`] for a record that cannot be read or parsed.
+    pub fn about(&mut self, scenario: &Path) -> Result<Option<RecordedVerdicts<'_>>, FileError> {
+        let Ok(path) = fs::canonicalize(scenario) else { return Ok(None) };
+        let folders: Vec<&Path> = path.ancestors().skip(1).take(2).collect();
+        for folder in &folders {
+            self.read(folder)?;
+        }
+        let records = &self.folders;
+        Ok(folders.into_iter().find_map(|folder| {
+            let recorded = records.get(folder)?.expected.iter();
+            let verdicts: Vec<_> = recorded.filter(|one| folder.join(&one.scenario) == path).collect();
+            (!verdicts.is_empty()).then(|| RecordedVerdicts { folder: folder.to_owned(), verdicts })
+        }))
+    }
+
+    fn read(&mut self, folder: &Path) -> Result<(), FileError> {
+        if !self.folders.contains_key(folder) {
+            let record = folder.join(EXPECTED);
+            let read = if record.is_file() { ExpectedFile::load(&record)? } else { ExpectedFile::default() };
+            self.folders.insert(folder.to_owned(), read);
+        }
+        Ok(())
+    }
+}
+
+impl<'a> RecordedVerdicts<'a> {
+    /// Returns one verdict for each controller that the record names, told apart by name and policy.
+    #[must_use]
+    pub fn by_controller(&self) -> Vec<&'a Expected> {
+        let mut first: Vec<&Expected> = Vec::new();
+        for verdict in &self.verdicts {
+            let is_known = |known: &&Expected| {
+                (&known.controller, &known.policy_sha256, known.estimator)
+                    == (&verdict.controller, &verdict.policy_sha256, verdict.estimator)
+            };
+            if !first.iter().any(is_known) {
+                first.push(verdict);
+            }
+        }
+        first
+    }
+
+    /// Returns the folders in which a controller of a verdict may lie: that of the record, and the current one where a hash tells whether
+    /// the controller is the recorded one.
+    pub fn places(&self, verdict: &Expected) -> impl Iterator<Item = PathBuf> {
+        let current = verdict.policy_sha256.as_ref().map(|_| PathBuf::new());
+        iter::once(self.folder.clone()).chain(current)
+    }
+}

@@ -1,0 +1,99 @@
+//! Numbers with few significant digits, for readers: `8.31` and not `8.31e0`.
+
+/// Exponents of ten that are written out.
+const WRITTEN_OUT: std::ops::RangeInclusive<i32> = -4..=6;
+
+/// Returns a number rounded to so many significant digits, at least one: with an exponent below 0.0001 and from 10 000 000 on.
+///
+/// ```
+/// use crumple_world::digits::nearest;
+/// assert_eq!(["8.31", "0.00095569", "9.6e-5"], [nearest(8.3149, 3), nearest(9.55691e-4, 5), nearest(9.55e-5, 2)]);
+/// ```
+#[must_use]
+pub fn nearest(number: f64, digits: usize) -> String {
+    if number == 0.0 || !number.is_finite() {
+        // Without the sign of a zero.
+        return (number + 0.0).to_string();
+    }
+    let (rounded, exponent) = scientific(number, digits);
+    match exponent {
+        exponent if WRITTEN_OUT.contains(&exponent) => {
+            let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or(0);
+            format!("{number:.decimals$}")
+        }
+        _ => rounded,
+    }
+}
+
+/// Returns a bound with so many significant digits, never below what it was: rounded to the nearest, an upper bound would claim more
+/// than was shown.
+#[must_use]
+pub fn up(bound: f64, digits: usize) -> String {
+    let (rounded, exponent) = scientific(bound, digits);
+    match rounded.parse::<f64>() {
+        Ok(shown) if shown < bound => nearest(shown + 10f64.powi(exponent + 1 - digits as i32), digits),
+        Ok(shown) => nearest(shown, digits),
+        Err(_) => rounded,
+    }
+}
+
+/// A number with an exponent, and that exponent.
+fn scientific(number: f64, digits: usize) -> (String, i32) {
+    let rounded = format!("{number:.*e}", digits.saturating_sub(1));
+    let exponent = rounded.rsplit_once('e').and_then(|(_, exponent)| exponent.parse().ok()).unwrap_or(0);
+    (rounded, exponent)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn exponents_are_for_numbers_that_need_them() {
+        for (number, digits, shown) in [
+            (8.31, 3, "8.31"),
+            (0.0, 3, "0"),
+            (-0.0, 3, "0"),
+            (9.999, 3, "10.0"),
+            (0.000_123_4, 2, "0.00012"),
+            (0.000_012_34, 2, "1.2e-5"),
+            (123_456.0, 3, "123456"),
+            (12_345_678.0, 3, "1.23e7"),
+            (-2.5, 2, "-2.5"),
+            (f64::INFINITY, 3, "inf"),
+        ] {
+            assert_eq!(nearest(number, digits), shown);
+        }
+    }
+
+    #[test]
+    fn bounds_are_rounded_away_from_what_they_claim() {
+        for (bound, shown) in [
+            (0.260_149, "0.2602"),
+            (0.469_700_7, "0.4698"),
+            (0.25, "0.2500"),
+            (9.9999e-7, "1.000e-6"),
+            (9.9999, "10.00"),
+            (123_456.0, "123500"),
+            (0.0, "0"),
+        ] {
+            assert_eq!(up(bound, 4), shown);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_bound_is_below_its_number(bound in proptest::num::f64::POSITIVE | proptest::num::f64::NORMAL, digits in 1..8_usize) {
+            let shown: f64 = up(bound, digits).parse().unwrap();
+            prop_assert!(shown >= bound, "{shown} is shown for {bound}");
+        }
+
+        #[test]
+        fn numbers_are_shown_to_their_digits(number in 1e-12..1e12_f64, digits in 1..8_usize) {
+            let shown: f64 = nearest(number, digits).parse().unwrap();
+            prop_assert!((shown / number - 1.0).abs() <= 0.5 * 10f64.powi(1 - digits as i32) + 1e-12);
+        }
+    }
+}
