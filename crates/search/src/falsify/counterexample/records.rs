@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, iter};
 
 use super::{Expected, ExpectedFile};
-use crumple_world::scenario::file::{EXPECTED, FileError};
+use crumple_world::scenario::file::{EARLIER_EXPECTED, EXPECTED, FileError};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
 #[derive(Debug, Default)]
@@ -44,8 +44,8 @@ impl VerdictRecords {
 
     fn read(&mut self, folder: &Path) -> Result<(), FileError> {
         if !self.folders.contains_key(folder) {
-            let record = folder.join(EXPECTED);
-            let read = if record.is_file() { ExpectedFile::load(&record)? } else { ExpectedFile::default() };
+            let has_record = [EXPECTED, EARLIER_EXPECTED].iter().any(|name| folder.join(name).is_file());
+            let read = if has_record { ExpectedFile::in_folder(folder)? } else { ExpectedFile::default() };
             self.folders.insert(folder.to_owned(), read);
         }
         Ok(())
