@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `instance` | an FMU that runs: the order of calls that the standard asks for |
 //! | `fmi2`, `fmi3` | the calls of each edition, and their `unsafe` |
+//! | `unpacked` | the folder that an FMU is unpacked into, and the removal of those that ended processes left behind |
 //! | `serve` | the protocol of controllers, `docs/controllers.md` of crumple |
 //!
 //! At each decision the inputs are set, one step of the decision interval is made, and what then stands at the output is the
@@ -13,13 +14,14 @@ mod fmi2;
 mod fmi3;
 mod instance;
 mod serve;
+mod unpacked;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::{Causality, Description, Fmu, Kind, Variable};
+use crate::{Causality, Description, Fmu, Kind, Unit, Variable};
 use instance::Wiring;
 
 /// Drives by an FMU for crumple, in a process of its own
@@ -102,7 +104,7 @@ fn described(description: &Description) -> String {
         };
         let kind = if *kind == Kind::Real { "" } else { kind.name() };
         let parts = [
-            unit.clone(),
+            unit.as_ref().map(Unit::to_string),
             (!kind.is_empty()).then(|| kind.to_owned()),
             start.as_ref().map(|start| format!("starts with {start}")),
             description.clone(),
