@@ -1,5 +1,5 @@
-//! Any scenario under CRUMPLE_CONTROLLER (`baseline` unless it says otherwise; `any`: the input chooses). Collisions go to
-//! the folder CRUMPLE_COLLISIONS, one file for each kind; broken laws are crashes.
+//! Any scenario under CRUMPLE_CONTROLLER: `baseline` by default, `any` if the input chooses. A process or an FMU is refused.
+//! Collisions go to the folder CRUMPLE_COLLISIONS, one file for each kind; broken laws are crashes.
 #![no_main]
 
 use std::path::Path;
@@ -17,20 +17,25 @@ struct Counters([AtomicU8; behaviour::FEATURES.next_multiple_of(8)]);
 #[unsafe(link_section = "__libfuzzer_extra_counters")]
 static BEHAVIOUR: Counters = Counters([const { AtomicU8::new(0) }; behaviour::FEATURES.next_multiple_of(8)]);
 
-static HUNT: LazyLock<CollisionSearch> = LazyLock::new(|| {
+/// The search, or the end of the program with exit code 2. Created before the first input: afterwards libFuzzer reports an exit as a
+/// crash of that input.
+static SEARCH: LazyLock<CollisionSearch> = LazyLock::new(|| {
     let named = |name: &str| std::env::var(name).ok();
     let (controller, folder) = (named("CRUMPLE_CONTROLLER"), named("CRUMPLE_COLLISIONS"));
-    let hunt = CollisionSearch::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
-    hunt.unwrap_or_else(|error| panic!("{error}"))
+    let search = CollisionSearch::new(controller.as_deref().unwrap_or("baseline"), folder.as_deref().map(Path::new));
+    search.unwrap_or_else(|error| {
+        eprintln!("error: {error}");
+        std::process::exit(2)
+    })
 });
 
 static FEEDBACK: LazyLock<bool> = LazyLock::new(|| std::env::var_os("CRUMPLE_NO_FEEDBACK").is_none());
 
-fuzz_target!(|bytes: &[u8]| -> Corpus {
+fuzz_target!(init: LazyLock::force(&SEARCH), |bytes: &[u8]| -> Corpus {
     if bytes.len() > TEST_CASE_BYTES {
         return Corpus::Reject;
     }
-    let features = HUNT.take(bytes).unwrap_or_else(|error| panic!("{error}"));
+    let features = SEARCH.take(bytes).unwrap_or_else(|error| panic!("{error}"));
     for feature in features.into_iter().filter(|_| *FEEDBACK) {
         BEHAVIOUR.0[feature].store(1, Ordering::Relaxed);
     }

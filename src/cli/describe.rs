@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, describe_fmu, output, own_file};
-use crumple_world::control::{Mapping, Quantity};
+use crumple_world::control::{Mapping, Output, Quantity};
 use crumple_world::network::{
     FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace,
 };
@@ -46,6 +46,8 @@ struct Description {
     functions: Vec<String>,
     inputs: usize,
     answers: usize,
+    /// Bounds that the network itself sets to each answer; none where it sets none.
+    answer_bounds: Vec<[Option<f64>; 2]>,
     /// Of Stable-Baselines3: algorithm, version, bounds of observations and actions (none where there are none), `VecNormalize`.
     #[serde(skip_serializing_if = "Option::is_none")]
     model: Option<Model>,
@@ -106,6 +108,7 @@ impl Describe {
             functions: functions(network.network.steps()),
             inputs: network.network.inputs(),
             answers: network.network.outputs(),
+            answer_bounds: finite(network.network.answer_bounds()),
             model,
             drives_as_it_is: is_named,
             controller_file: String::new(),
@@ -145,6 +148,11 @@ fn bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
         .zip(high)
         .map(|(low, high)| [*low, *high].map(|bound| Some(bound).filter(|bound| bound.is_finite())))
         .collect()
+}
+
+/// Replaces infinite bounds by none.
+fn finite(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
+    bounds.into_iter().map(|pair| pair.map(|bound| Some(bound).filter(|bound| bound.is_finite()))).collect()
 }
 
 /// The functions between the products by name, each once, in order.
@@ -235,27 +243,39 @@ impl Description {
             text += &low.map(|low| format!("low = {low:?}\n")).unwrap_or_default();
             text += &high.map(|high| format!("high = {high:?}\n")).unwrap_or_default();
         }
-        let [least_mps2, most_mps2] = [own.output.low_mps2, own.output.high_mps2];
         text += "\n[output]\n";
         if self.answers > 1 {
             text += "answer = 0 # which of them drives, a guess\n";
         }
-        let actions = model.and_then(|model| model.actions.first());
-        text += &match actions {
+        text + &self.output(&own.output)
+    }
+
+    /// Returns the rest of `[output]`. A network that limits its answers itself, as by tanh at its end, needs a scale to m/s².
+    fn output(&self, own: &Output) -> String {
+        let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
+        let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
+        match self.answer_bounds.first() {
             // Taken for accelerations.
-            Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 => {
+            Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
                 format!("low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n")
             }
-            Some([Some(low), Some(high)]) => {
-                let scale_mps2 = (most_mps2 - least_mps2) / f64::from(high - low);
-                let offset_mps2 = least_mps2 - scale_mps2 * f64::from(*low);
+            Some([Some(low), Some(high)]) if low < high => {
+                let scale_mps2 = (most_mps2 - least_mps2) / (high - low);
+                let offset_mps2 = least_mps2 - scale_mps2 * low;
                 format!(
-                    "scale_mps2 = {scale_mps2:?} # a guess: all that a light vehicle can do\noffset_mps2 = {offset_mps2:?}\n\
-                     low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n"
+                    "# The network ends in a function that limits its answers to {low:?} to {high:?}: scale_mps2 and offset_mps2 turn\n\
+                     # them into m/s². No `squash`: that is for a tanh that training applied outside of the network.\n\
+                     scale_mps2 = {scale_mps2:?} # a guess: all that a light vehicle can do\noffset_mps2 = {offset_mps2:?}\n{limits}"
                 )
             }
-            _ => format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n"),
-        };
-        text
+            _ if self.drives_as_it_is => {
+                let Output { scale_mps2, offset_mps2, .. } = own;
+                format!("scale_mps2 = {scale_mps2:?}\noffset_mps2 = {offset_mps2:?}\n{limits}")
+            }
+            _ => format!(
+                "# The network does not limit its answers, so they are taken for m/s². If training applied tanh to them, write\n\
+                 # squash = \"tanh\" and the scale_mps2 and offset_mps2 that turn -1 to 1 into m/s².\n{limits}"
+            ),
+        }
     }
 }

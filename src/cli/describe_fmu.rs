@@ -49,7 +49,7 @@ impl<'a> DescribedFmu<'a> {
             name: &variable.name,
             causality: variable.causality.name(),
             kind: variable.kind.name(),
-            unit: variable.unit.as_deref(),
+            unit: variable.unit.as_ref().map(|unit| unit.name.as_str()),
             start: variable.start.as_deref(),
             description: variable.description.as_deref(),
         };

@@ -426,6 +426,65 @@ fn what_is_described_drives() {
     }
 }
 
+/// A network that limits its answers needs a scale to m/s²: without it the car accelerates by at most 1 m/s².
+#[test]
+fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let drafted = |name: &str| {
+        let described = crumple(folder.path(), &["describe", &corpus().join(name).display().to_string()]);
+        assert_eq!(code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
+        let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
+        let output = controller.mapping().output.clone();
+        assert_eq!(output.squash, None, "{name}");
+        let text = String::from_utf8_lossy(&described.stdout).into_owned();
+        (text, [output.offset_mps2, output.scale_mps2])
+    };
+    for (name, bounds, expected) in [
+        ("reference.onnx", "-1.0 to 1.0", [-2.75, 4.75]),
+        ("tanh-33-17.onnx", "-1.0 to 1.0", [-2.75, 4.75]),
+        ("sac.zip", "-1.0 to 1.0", [-2.75, 4.75]),
+    ] {
+        let (text, found) = drafted(name);
+        assert_eq!(found, expected, "{name}");
+        assert!(text.contains(&format!("limits its answers to {bounds}: ")), "{text}");
+    }
+    // Its answers have no bounds: the draft says what to do if training squashed them.
+    let (text, found) = drafted("elu-7-5.onnx");
+    assert_eq!(found, [0.0, 1.0]);
+    assert!(text.contains("does not limit its answers") && text.contains("squash = \"tanh\""), "{text}");
+}
+
+/// The format of `torch.save` before PyTorch 1.6 is no zip archive, and nothing of such a model is damaged.
+#[test]
+fn weights_in_pytorchs_old_format_are_named() {
+    // The beginning of what `torch.save(..., _use_new_zipfile_serialization=False)` writes: magic number, version, system.
+    let mut legacy = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.\x80\x02M\xe9\x03.\x80\x02}q\x00.".to_vec();
+    legacy.extend([0; 64]);
+    let model = fs::read(corpus().join("ppo.zip")).unwrap();
+    let mut whole = zip::ZipArchive::new(std::io::Cursor::new(model)).unwrap();
+    let mut written = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for index in 0..whole.len() {
+        let mut member = whole.by_index(index).unwrap();
+        let name = member.name().unwrap().into_owned();
+        let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        written.start_file(&name, options).unwrap();
+        if name == "policy.pth" {
+            std::io::Write::write_all(&mut written, &legacy).unwrap();
+        } else {
+            std::io::copy(&mut member, &mut written).unwrap();
+        }
+    }
+    let old = written.finish().unwrap().into_inner();
+    for (bytes, what) in [(old.as_slice(), "its weights, `policy.pth`, are"), (&legacy, "it is a file of `torch.save`")]
+    {
+        let said = NetworkFile::from_sb3(bytes).expect_err("the old format").to_string();
+        assert!(said.starts_with(what) && said.contains("in the format of PyTorch before 1.6"), "{said}");
+        assert!(said.contains("`PPO.load(\"old\").save(\"new\")`") && !said.contains("not a whole"), "{said}");
+    }
+}
+
 /// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
 fn example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
     let python = |arguments: &[&str]| {

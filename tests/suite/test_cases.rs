@@ -112,3 +112,47 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     assert!(simulate(&run, RecordingLevel::Summary).outcome.contact().is_some());
     assert!(CollisionSearch::new("nobody", None).is_err());
 }
+
+/// A controller in a process of its own would never be started, and no input would collide.
+#[test]
+fn a_search_refuses_processes_and_fmus() {
+    let folder = tempfile::tempdir().expect("a place for temporary files");
+    let controller_file = folder.path().join("process.toml");
+    std::fs::write(&controller_file, "version = 1\ncommand = [\"./none\"]\n").expect("written");
+    let path = controller_file.display();
+    for name in
+        ["exec:./none".to_owned(), format!("{path}"), format!("shield:{path}"), "shield:shield:exec:./none".to_owned()]
+    {
+        let refused = CollisionSearch::new(&name, None).expect_err("a process").to_string();
+        assert!(refused.starts_with(&format!("`{name}` is a process or an FMU")), "{refused}");
+        assert!(refused.contains("starts no processes") && refused.contains("crumple falsify"), "{refused}");
+    }
+}
+
+/// An interval that does not fit the steps of some scenarios is no fault of the controller: these get a step that fits.
+#[test]
+fn a_search_takes_controllers_of_any_decision_interval() {
+    let folder = tempfile::tempdir().expect("a place for temporary files");
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
+    std::fs::copy(corpus.join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).expect("copied");
+    let text = std::fs::read_to_string(corpus.join("acc.toml")).expect("there");
+    let (before, rest) = text.split_once("decision_interval_s = ").expect("says its interval");
+    let after = rest.split_once('\n').expect("a line").1;
+    let path = folder.path().join("acc.toml");
+    for interval_s in [0.05, 0.03, 0.125, 0.004, 0.1, 0.7] {
+        std::fs::write(&path, format!("{before}decision_interval_s = {interval_s}\n{after}")).expect("written");
+        let search = CollisionSearch::new(&path.display().to_string(), None).expect("a network");
+        let mut own_steps_s = Vec::new();
+        for choice in 0..8 {
+            let input = [0, choice];
+            own_steps_s.push(TestCase::of_bytes(&input).scenario.spec().step_s);
+            search.take(&input).unwrap_or_else(|error| panic!("{interval_s}: {error}"));
+        }
+        own_steps_s.sort_by(f64::total_cmp);
+        own_steps_s.dedup();
+        assert_eq!(own_steps_s, [0.01, 0.02, 0.05, 0.1]);
+    }
+    std::fs::write(&path, format!("{before}decision_interval_s = 1e-9\n{after}")).expect("written");
+    let refused = CollisionSearch::new(&path.display().to_string(), None).expect_err("no step").to_string();
+    assert!(refused.contains("decides every 0.000000001 s, and no scenario has a step for that"), "{refused}");
+}

@@ -1,11 +1,59 @@
 //! `modelDescription.xml`, as far as a controller needs it.
 
-use roxmltree::{Document, Node, ParsingOptions};
+use crate::declarations::Declarations;
+use crate::unit::Unit;
+use crate::xml::{Element, XmlProblem};
 
 /// Most variables that are read.
 const MOST_VARIABLES: usize = 100_000;
-/// Most elements and attributes of the text.
-const MOST_NODES: u32 = 4_000_000;
+
+/// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and that of a declared type in `SimpleType`.
+const ELEMENTS: [&str; 16] = [
+    "fmiModelDescription",
+    "CoSimulation",
+    "UnitDefinitions",
+    "Unit",
+    "BaseUnit",
+    "TypeDefinitions",
+    "SimpleType",
+    "Float64Type",
+    "ModelVariables",
+    "ScalarVariable",
+    "Real",
+    "Integer",
+    "Boolean",
+    "Float64",
+    "Int32",
+    "Dimension",
+];
+/// Attributes that are read.
+const ATTRIBUTES: [&str; 25] = [
+    "fmiVersion",
+    "modelName",
+    "guid",
+    "instantiationToken",
+    "modelIdentifier",
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "name",
+    "description",
+    "valueReference",
+    "causality",
+    "start",
+    "unit",
+    "declaredType",
+    "relativeQuantity",
+    "factor",
+    "offset",
+    "kg",
+    "m",
+    "s",
+    "A",
+    "K",
+    "mol",
+    "cd",
+    "rad",
+];
 
 /// The edition of the standard that an FMU follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +65,7 @@ pub enum FmiVersion {
 }
 
 /// What an FMU says of itself.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Description {
     /// Which edition of the standard it follows.
     pub version: FmiVersion,
@@ -34,7 +82,7 @@ pub struct Description {
 }
 
 /// A variable of an FMU.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     /// Its name.
     pub name: String,
@@ -46,8 +94,8 @@ pub struct Variable {
     pub kind: Kind,
     /// Its value unless it is set, as it is written.
     pub start: Option<String>,
-    /// Its unit, as it is written.
-    pub unit: Option<String>,
+    /// Unit of a real variable; none for a variable that declares no unit.
+    pub unit: Option<Unit>,
     /// What it is, in the author's words.
     pub description: Option<String>,
 }
@@ -100,9 +148,6 @@ impl Kind {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidDescription {
-    /// It is no XML.
-    #[error("modelDescription.xml: {0}")]
-    Xml(#[from] roxmltree::Error),
     /// It follows another edition of the standard, or is none.
     #[error("modelDescription.xml: is of FMI version {found:?}; FMI 2.0 and 3.0 are read")]
     Version {
@@ -133,17 +178,14 @@ impl Description {
     /// # Errors
     /// [`InvalidDescription`] for what is none, or of an FMU that cannot drive.
     pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
-        // Without a document type definition, so nothing expands.
-        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-        let document = Document::parse_with_options(text, options)?;
-        let root = document.root_element();
+        let root = &Element::read(text, &ELEMENTS, &ATTRIBUTES)?;
         let found = root.attribute("fmiVersion").unwrap_or_default();
         let version = match found.split('.').next() {
             Some("2") => FmiVersion::Two,
             Some("3") => FmiVersion::Three,
             _ => return Err(InvalidDescription::Version { found: found.to_owned() }),
         };
-        let co_simulation = child(root, "CoSimulation").ok_or(InvalidDescription::NoCoSimulation)?;
+        let co_simulation = root.child("CoSimulation").ok_or(InvalidDescription::NoCoSimulation)?;
         if flag(co_simulation, "needsExecutionTool")? {
             return Err(InvalidDescription::NeedsTool);
         }
@@ -156,12 +198,13 @@ impl Description {
         if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
             return Err(at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
         }
-        let listed = child(root, "ModelVariables").ok_or_else(|| at(root, "there is no element `ModelVariables`"))?;
+        let listed = root.child("ModelVariables").ok_or_else(|| at(root, "there is no element `ModelVariables`"))?;
+        let declarations = Declarations::read(root, version)?;
         let mut variables: Vec<Variable> = Vec::new();
-        for element in listed.children().filter(Node::is_element) {
+        for element in &listed.children {
             let variable = match version {
-                FmiVersion::Two => of_fmi_2(element)?,
-                FmiVersion::Three => of_fmi_3(element)?,
+                FmiVersion::Two => of_fmi_2(element, &declarations)?,
+                FmiVersion::Three => of_fmi_3(element, &declarations)?,
             };
             variables.extend(variable);
             if variables.len() > MOST_VARIABLES {
@@ -189,31 +232,37 @@ impl Description {
     }
 }
 
-/// A variable, unless a controller can do nothing with it.
-fn of_fmi_2(element: Node<'_, '_>) -> Result<Option<Variable>, InvalidDescription> {
+/// Reads a `ScalarVariable`; none for one that a controller cannot use.
+fn of_fmi_2(element: &Element, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
     let types = [("Real", Kind::Real), ("Integer", Kind::Integer), ("Boolean", Kind::Boolean)];
-    let typed = types.into_iter().find_map(|(name, kind)| Some((child(element, name)?, kind)));
+    let typed = types.into_iter().find_map(|(name, kind)| Some((element.child(name)?, kind)));
     match typed {
-        Some((typed, kind)) => variable(element, typed, kind),
+        Some((typed, kind)) => variable(element, typed, kind, declarations),
         None => Ok(None),
     }
 }
 
-fn of_fmi_3(element: Node<'_, '_>) -> Result<Option<Variable>, InvalidDescription> {
-    let kind = match element.tag_name().name() {
+/// Reads a variable of FMI 3; none for one that a controller cannot use, such as an array.
+fn of_fmi_3(element: &Element, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
+    let kind = match element.name {
         "Float64" => Kind::Real,
         "Int32" => Kind::Integer,
         "Boolean" => Kind::Boolean,
         _ => return Ok(None),
     };
-    // An array.
-    if child(element, "Dimension").is_some() {
+    if element.child("Dimension").is_some() {
         return Ok(None);
     }
-    variable(element, element, kind)
+    variable(element, element, kind, declarations)
 }
 
-fn variable(element: Node<'_, '_>, typed: Node<'_, '_>, kind: Kind) -> Result<Option<Variable>, InvalidDescription> {
+/// Reads a variable whose start value and unit are attributes of `typed`.
+fn variable(
+    element: &Element,
+    typed: &Element,
+    kind: Kind,
+    declarations: &Declarations<'_>,
+) -> Result<Option<Variable>, InvalidDescription> {
     let causality = match element.attribute("causality") {
         Some("input") => Causality::Input,
         Some("output") => Causality::Output,
@@ -223,27 +272,30 @@ fn variable(element: Node<'_, '_>, typed: Node<'_, '_>, kind: Kind) -> Result<Op
     let reference = required(element, "valueReference")?;
     let reference =
         reference.parse().map_err(|_| at(element, format!("valueReference {reference:?} is no whole number")))?;
-    let text = |node: Node<'_, '_>, name: &str| node.attribute(name).map(str::to_owned);
     Ok(Some(Variable {
         name: required(element, "name")?.to_owned(),
         reference,
         causality,
         kind,
-        start: text(typed, "start"),
-        unit: text(typed, "unit"),
-        description: text(element, "description"),
+        start: typed.attribute("start").map(str::to_owned),
+        unit: if kind == Kind::Real { declarations.unit_of(typed)? } else { None },
+        description: element.attribute("description").map(str::to_owned),
     }))
 }
 
-fn child<'a, 'input>(of: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
-    of.children().find(|child| child.has_tag_name(name))
+/// Returns the value of an attribute.
+///
+/// # Errors
+/// [`InvalidDescription`] if the element has no such attribute.
+pub(crate) fn required<'a>(of: &'a Element, name: &str) -> Result<&'a str, InvalidDescription> {
+    of.attribute(name).ok_or_else(|| at(of, format!("`{}` has no attribute `{name}`", of.name)))
 }
 
-fn required<'a>(of: Node<'a, '_>, name: &str) -> Result<&'a str, InvalidDescription> {
-    of.attribute(name).ok_or_else(|| at(of, format!("`{}` has no attribute `{name}`", of.tag_name().name())))
-}
-
-fn flag(of: Node<'_, '_>, name: &str) -> Result<bool, InvalidDescription> {
+/// Returns the value of a Boolean attribute, which is false by default.
+///
+/// # Errors
+/// [`InvalidDescription`] for a value that is neither true nor false.
+pub(crate) fn flag(of: &Element, name: &str) -> Result<bool, InvalidDescription> {
     match of.attribute(name) {
         None | Some("false" | "0") => Ok(false),
         Some("true" | "1") => Ok(true),
@@ -251,7 +303,16 @@ fn flag(of: Node<'_, '_>, name: &str) -> Result<bool, InvalidDescription> {
     }
 }
 
-fn at(node: Node<'_, '_>, problem: impl Into<String>) -> InvalidDescription {
-    let line = node.document().text_pos_at(node.range().start).row;
-    InvalidDescription::At { line, problem: problem.into() }
+/// Returns an error at the line of an element.
+pub(crate) fn at(element: &Element, problem: impl Into<String>) -> InvalidDescription {
+    InvalidDescription::At { line: element.line, problem: problem.into() }
 }
+
+impl From<XmlProblem> for InvalidDescription {
+    fn from(XmlProblem { line, problem }: XmlProblem) -> Self {
+        Self::At { line, problem }
+    }
+}
+
+#[cfg(test)]
+mod tests;

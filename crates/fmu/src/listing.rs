@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::{Causality, Description, FmiVersion, Kind, Variable};
+use crate::{Causality, Description, FmiVersion, Kind, Unit, Variable};
 
 impl FmiVersion {
     /// Returns the number of the edition.
@@ -38,7 +38,7 @@ impl fmt::Display for Variable {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, causality, kind, start, unit, description, .. } = self;
         let parts = [
-            unit.clone(),
+            unit.as_ref().map(Unit::to_string),
             (*kind != Kind::Real).then(|| kind.name().to_owned()),
             start.as_ref().map(|start| format!("starts with {start}")),
             description.clone(),

@@ -5,7 +5,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::{Collection, Crumple, TestCase, TestedController, Violation, behaviour};
-use crumple_world::sim::UnknownController;
+use crumple_world::control::FmuProblem;
+use crumple_world::scenario::controller_file::ControllerFileError;
+use crumple_world::scenario::{InvalidField, Scenario, whole_multiple};
+use crumple_world::sim::{Run, RunError, UnknownController};
 
 /// All oracles take many times as long as a run: they are asked of what is new, and of every so many inputs.
 const EVERY: usize = 16;
@@ -26,6 +29,25 @@ pub enum CollisionSearchError {
     /// There is no such controller.
     #[error(transparent)]
     Controller(#[from] UnknownController),
+    /// The controller runs in a process of its own, which this search does not start.
+    #[error(
+        "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in controllers, \
+         policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
+    )]
+    OtherProcess {
+        /// Name of the controller.
+        controller: String,
+    },
+    /// The controller decides at an interval at which no scenario can run.
+    #[error("`{controller}` decides every {interval_s} s, and no scenario has a step for that: {reason}")]
+    Interval {
+        /// Name of the controller.
+        controller: String,
+        /// Its decision interval, in seconds.
+        interval_s: f64,
+        /// Reason why a scenario with such a step is refused.
+        reason: Box<InvalidField>,
+    },
     /// A collision cannot be written.
     #[error("the folder for collisions: {0}")]
     Collisions(#[from] io::Error),
@@ -35,37 +57,48 @@ pub enum CollisionSearchError {
 }
 
 impl CollisionSearch {
-    /// A hunt for collisions of a controller (`any`: whichever an input chooses), kept in a folder if one is named.
+    /// Returns a search for collisions of a controller (`any`: each input chooses one), which are kept in a folder if one is given.
     ///
     /// # Errors
-    /// [`CollisionSearchError`] if there is no such controller, or the folder cannot be made.
+    /// [`CollisionSearchError`] if there is no such controller, if it is a process or an FMU, if no scenario has a step for its
+    /// decisions, or if the folder cannot be created.
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         Ok(Self {
-            controller: if controller == "any" { None } else { Some(TestedController::named(controller)?) },
+            controller: if controller == "any" { None } else { Some(tested(controller)?) },
             collisions: collisions.map(Collection::in_folder).transpose()?,
             seen: (0..behaviour::FEATURES).map(|_| AtomicBool::new(false)).collect(),
             inputs: AtomicUsize::new(0),
         })
     }
 
-    /// The test case that an input stands for in this hunt.
+    /// Returns the test case that an input stands for in this search. Its scenario has a step at which the controller can decide.
     #[must_use]
     pub fn test_case(&self, bytes: &[u8]) -> TestCase {
-        let test_case = TestCase::of_bytes(bytes);
-        match &self.controller {
-            Some(controller) => test_case.under_test(controller.clone()),
-            None => test_case,
+        let mut test_case = TestCase::of_bytes(bytes);
+        if let Some(controller) = &self.controller {
+            if let Some(Ok(scenario)) =
+                controller.interval_s().map(|interval_s| with_step_for(&test_case.scenario, interval_s))
+            {
+                test_case.scenario = scenario;
+            }
+            test_case = test_case.under_test(controller.clone());
         }
+        test_case
     }
 
-    /// Runs an input, keeps its collision and returns the [`behaviour::features`] of the run.
+    /// Runs an input, keeps its collision and returns the [`behaviour::features`] of the run: none for a scenario that the
+    /// controller refuses, as a shield does that cannot vouch for a vehicle.
     ///
-    /// A fresh hunt has seen nothing, and asks all oracles of its first input.
+    /// A new search has seen nothing, and asks all oracles about its first input.
     ///
     /// # Errors
     /// [`CollisionSearchError`] for a broken law, or a collision that cannot be kept.
     pub fn take(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
+        let options = test_case.setup.options(test_case.scenario.spec().step_s);
+        if let Err(RunError::Shield { .. } | RunError::Needs { .. }) = Run::new(&test_case.scenario, options) {
+            return Ok(Vec::new());
+        }
         let result = test_case.examine_run(&Crumple)?;
         let features = behaviour::features(&test_case, &result);
         let is_new = |&feature: &usize| self.seen.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
@@ -79,4 +112,39 @@ impl CollisionSearch {
         }
         Ok(features)
     }
+}
+
+/// Returns a controller that runs in this process, by its name.
+fn tested(name: &str) -> Result<TestedController, CollisionSearchError> {
+    let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
+    let controller = TestedController::named(name).map_err(|error| match error {
+        // A build without processes refuses FMUs by itself, without saying what to do.
+        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::NoProcesses, .. }) => other_process(),
+        other => other.into(),
+    })?;
+    if controller.is_process() {
+        return Err(other_process());
+    }
+    if let Some(interval_s) = controller.interval_s() {
+        with_step_for(&TestCase::of_bytes(&[]).scenario, interval_s).map_err(|reason| {
+            CollisionSearchError::Interval { controller: name.to_owned(), interval_s, reason: Box::new(reason) }
+        })?;
+    }
+    Ok(controller)
+}
+
+/// Returns a scenario with the longest step, up to its own, that divides a decision interval into whole parts.
+///
+/// # Errors
+/// [`InvalidField`] if no scenario may have that step.
+fn with_step_for(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
+    let step_s = scenario.spec().step_s;
+    if whole_multiple(interval_s, step_s).is_some() {
+        return Ok(scenario.clone());
+    }
+    let step_s = interval_s / (interval_s / step_s).ceil();
+    scenario.edited(|spec| {
+        spec.duration_s = (spec.duration_s / step_s).round().max(1.0) * step_s;
+        spec.step_s = step_s;
+    })
 }

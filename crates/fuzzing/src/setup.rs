@@ -142,6 +142,27 @@ impl TestedController {
         })
     }
 
+    /// Returns the time between decisions of a controller that has a name, in seconds; none to decide at every step.
+    #[must_use]
+    pub fn interval_s(&self) -> Option<f64> {
+        match self {
+            Self::BuiltIn(spec) => ControllerKind::from(spec.clone()).interval_s(),
+            Self::Named(FoundController(found)) => found.kind.interval_s(),
+            Self::Opinionated(_) => None,
+        }
+    }
+
+    /// Returns whether the controller runs in a process of its own, behind any number of shields.
+    #[must_use]
+    pub fn is_process(&self) -> bool {
+        let Self::Named(FoundController(found)) = self else { return false };
+        let mut kind = &found.kind;
+        while let ControllerKind::Shielded(shielded) = kind {
+            kind = &shielded.controller;
+        }
+        matches!(kind, ControllerKind::Process(_))
+    }
+
     /// What it is called: as on the command line, but for the controller from outside.
     #[must_use]
     pub fn name(&self) -> &str {

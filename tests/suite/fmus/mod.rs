@@ -1,5 +1,8 @@
 //! FMUs as controllers: they drive as the same law does by other ways, what they do wrong ends runs, and damaged ones are refused.
 
+mod folders;
+mod units;
+
 use std::fs;
 use std::io::{Cursor, Write as _};
 use std::path::Path;
@@ -289,9 +292,9 @@ fn damaged_fmus_are_refused() {
         (model("name=\"speed_mps\"", "name=\"gap_ahead_m\""), "there are two variables \"gap_ahead_m\""),
         (
             model("<?xml version=\"1.0\" encoding=\"UTF-8\"?>", "<!DOCTYPE a [<!ENTITY b \"c\">]>"),
-            "modelDescription.xml",
+            "modelDescription.xml, line 1: has a document type declaration",
         ),
-        (model("</ModelVariables>", ""), "modelDescription.xml: "),
+        (model("</ModelVariables>", ""), "modelDescription.xml, line 29: expected `</ModelVariables>`"),
         (big, "has more than 16777216 bytes"),
     ];
     for (xml, said) in described {

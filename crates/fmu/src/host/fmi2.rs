@@ -8,7 +8,7 @@ use std::ptr;
 
 use libloading::{Library, Symbol};
 
-use super::instance::{Calls, Made, Wire, checked, resources};
+use super::instance::{Calls, Made, Wire, checked, not_loaded, resources};
 use crate::Kind;
 
 type Component = *mut c_void;
@@ -80,7 +80,7 @@ impl Fmi2 {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
         let location = format!("file://{}", percent_encoded(&resources(made.folder).to_string_lossy()));
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| error.to_string())?;
+        let library = unsafe { Library::new(made.library) }.map_err(|error| not_loaded(&error, made.folder))?;
         Ok(Self {
             instantiate: function(&library, c"fmi2Instantiate")?,
             free: function(&library, c"fmi2FreeInstance")?,

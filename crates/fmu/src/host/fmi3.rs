@@ -8,7 +8,7 @@ use std::ptr;
 use libloading::Library;
 
 use super::fmi2::{function, told};
-use super::instance::{Calls, Made, Wire, checked, resources};
+use super::instance::{Calls, Made, Wire, checked, not_loaded, resources};
 use crate::Kind;
 
 type Handle = *mut c_void;
@@ -68,7 +68,7 @@ impl Fmi3 {
         // With a separator at its end, as the standard wants it.
         let location = resources(made.folder).join("").to_string_lossy().into_owned();
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| error.to_string())?;
+        let library = unsafe { Library::new(made.library) }.map_err(|error| not_loaded(&error, made.folder))?;
         Ok(Self {
             instantiate: function(&library, c"fmi3InstantiateCoSimulation")?,
             free: function(&library, c"fmi3FreeInstance")?,

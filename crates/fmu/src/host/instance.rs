@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use tempfile::TempDir;
-
 use super::fmi2::Fmi2;
 use super::fmi3::Fmi3;
+use super::unpacked::UnpackedFolder;
 use crate::{Causality, Description, FmiVersion, Fmu, Kind, Variable};
 
 /// What is set, and what is read.
@@ -84,8 +83,9 @@ pub(super) struct Instance {
     parameters: Vec<(Wire, f64)>,
     is_instantiated_once: bool,
     stage: Stage,
-    /// Unpacked here; gone already if the library is all there is.
-    _folder: Option<TempDir>,
+    /// Removed already if the FMU needs no file but its library. Dropped after `calls`, whose library may read its files until
+    /// it is closed.
+    _folder: Option<UnpackedFolder>,
 }
 
 impl Instance {
@@ -101,7 +101,7 @@ impl Instance {
             if wire.kind.accepts(*value) { Ok((wire, *value)) } else { Err(unfit(name, wire.kind, *value)) }
         });
         let parameters = parameters.collect::<Result<_, _>>()?;
-        let folder = tempfile::Builder::new().prefix("crumple-fmu-").tempdir().map_err(|error| error.to_string())?;
+        let folder = UnpackedFolder::new().map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
         let library = fmu.unpack(folder.path()).map_err(|error| error.to_string())?;
         let made = Made { library: &library, folder: folder.path(), description: fmu.description() };
         let calls: Box<dyn Calls> = match fmu.description().version {
@@ -185,6 +185,16 @@ fn unfit(name: &str, kind: Kind, value: f64) -> String {
 fn is_among_others(library: &Path) -> bool {
     let entries = library.parent().and_then(|folder| std::fs::read_dir(folder).ok());
     entries.is_none_or(|entries| entries.count() > 1)
+}
+
+/// Returns the reason that the system's loader gives, without the folder that the FMU is unpacked into, and a way out.
+pub(super) fn not_loaded(error: &libloading::Error, folder: &Path) -> String {
+    let reason = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
+    let reason = reason.replace(&folder.join("").to_string_lossy().into_owned(), "");
+    format!(
+        "its library cannot be loaded: {reason}; install the libraries that it needs (`ldd` lists those that are missing), or build \
+         the FMU for this system"
+    )
 }
 
 /// Where an FMU's resources lie.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `instance` | an FMU that runs: the order of calls that the standard asks for |
 //! | `fmi2`, `fmi3` | the calls of each edition, and their `unsafe` |
+//! | `unpacked` | the folder that an FMU is unpacked into, and the removal of those that ended processes left behind |
 //! | `serve` | the protocol of controllers, `docs/controllers.md` of crumple |
 //!
 //! At each decision the inputs are set, one step of the decision interval is made, and what then stands at the output is the
@@ -13,6 +14,7 @@ mod fmi2;
 mod fmi3;
 mod instance;
 mod serve;
+mod unpacked;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

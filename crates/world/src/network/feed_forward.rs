@@ -102,6 +102,20 @@ impl FeedForward {
         self.acting.forward(inputs, batch, space)
     }
 
+    /// Returns the bounds that the functions after the last layer alone set to each answer: -1 and 1 after tanh. Infinite where
+    /// they set none.
+    #[must_use]
+    pub fn answer_bounds(&self) -> Vec<[f64; 2]> {
+        let after_last = self.steps.iter().rposition(|step| matches!(step, Step::Linear(_))).map_or(0, |last| last + 1);
+        let bounds_of = |index| {
+            self.steps.iter().skip(after_last).fold([f64::NEG_INFINITY, f64::INFINITY], |bounds, step| match step {
+                Step::Each(each) => each.range(index, bounds),
+                Step::Linear(_) => bounds,
+            })
+        };
+        (0..self.outputs()).map(bounds_of).collect()
+    }
+
     /// Where each answer can lie if each input lies between its limits, but for rounding.
     ///
     /// # Errors

@@ -26,8 +26,11 @@ const MOST_LINE_BYTES: usize = 1 << 20;
 /// Bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
 
-/// How long a program whose input has ended may take to end by itself, and one that closed its output to have an exit code.
+/// Time for a program that closed its output to have an exit code.
 const GRACE: Duration = Duration::from_millis(200);
+
+/// Time for a program whose input has ended to end by itself. The host of an FMU removes what it unpacked in that time.
+const PARTING: Duration = Duration::from_secs(1);
 
 /// Ends its process group, itself included, at the end of its input.
 const WATCH: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -s KILL 0";
@@ -255,8 +258,8 @@ impl Program {
     /// Waits for its end for a moment.
     fn part(&mut self) {
         self.close_input();
-        let end = Instant::now() + GRACE;
-        while self.listen(false, end, GRACE).is_ok() {
+        let end = Instant::now() + PARTING;
+        while self.listen(false, end, PARTING).is_ok() {
             self.received.clear();
         }
     }

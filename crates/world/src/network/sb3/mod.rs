@@ -69,6 +69,9 @@ fn not_followed<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
 
 /// Reads the actor of a model, and what the model says of itself.
 pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
+    if weights::is_legacy(bytes) {
+        return Err(weights::legacy("it is a file of `torch.save`, not a model of Stable-Baselines3, and"));
+    }
     let archive = Archive::read(bytes)?;
     let data = archive.member("data")?;
     if data.len() > MOST_DATA_BYTES {

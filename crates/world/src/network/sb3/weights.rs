@@ -30,8 +30,27 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
     NetworkError::damaged("member `policy.pth`", problem)
 }
 
+/// Returns whether a file is in the format that `torch.save` wrote before PyTorch 1.6: pickles one after the other, of which the
+/// first is PyTorch's magic number 0x1950a86a20f9469cfc6c.
+pub(super) fn is_legacy(bytes: &[u8]) -> bool {
+    /// Operation of a long whole number, its length and its bytes, behind the protocol and perhaps a frame.
+    const MAGIC: [u8; 12] = *b"\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19";
+    bytes.first() == Some(&0x80) && bytes.get(..32).unwrap_or(bytes).windows(MAGIC.len()).any(|window| window == MAGIC)
+}
+
+/// Returns the error for a file of PyTorch's old format.
+pub(super) fn legacy(what: &str) -> NetworkError {
+    NetworkError::Unsupported(format!(
+        "{what} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 and PyTorch 1.6 \
+         or later, and save it again, as in `PPO.load(\"old\").save(\"new\")`"
+    ))
+}
+
 impl<'a> Weights<'a> {
     pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
+        if is_legacy(bytes) {
+            return Err(legacy("its weights, `policy.pth`, are"));
+        }
         let archive = Archive::read(bytes)?;
         let name = archive.only_ending("/data.pkl")?.to_owned();
         let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();

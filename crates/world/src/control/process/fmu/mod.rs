@@ -1,6 +1,8 @@
 //! FMUs: each is driven by the program `crumple-fmu`, a process like any other, wired to what the FMU has.
 
 #[cfg(feature = "process")]
+mod units;
+#[cfg(feature = "process")]
 mod wired;
 
 use std::collections::BTreeMap;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crumple_fmu::{Causality, Description, Fmu, Kind, Variable};
 
+use super::units::{converted_input, converted_output, converted_parameter};
 use super::{FmuProblem, Wiring};
 use crate::control::{Input, InvalidMapping, Mapping, Output, ProcessSetup, Quantity};
 
@@ -15,25 +16,33 @@ const HOST_VARIABLE: &str = "CRUMPLE_FMU";
 const ANSWER: &str = "acceleration_mps2";
 
 impl ProcessSetup {
-    /// An FMU, by its path from `folder`, wired as it is said. Reads the FMU, and runs nothing of it.
+    /// Returns the setup of an FMU, by its path from `folder`, wired as it is said. Inputs, answer and parameters are converted
+    /// between SI units and the units that the FMU declares. Reads the FMU, and runs nothing of it.
     ///
     /// # Errors
-    /// [`FmuProblem`] for a file that is no FMU or cannot drive here, and for variables that it does not have.
+    /// [`FmuProblem`] for a file that is no FMU or cannot drive here, for variables that it does not have, and for units that cannot be
+    /// converted.
     pub fn of_fmu(folder: &Path, path: &str, wiring: Wiring) -> Result<Self, FmuProblem> {
         let fmu = Fmu::open(&folder.join(path))?;
         let description = fmu.description();
         let plain = Self::new(Vec::new(), folder);
         let inputs = wiring.inputs.map_or_else(|| by_name(description), Ok)?;
+        let (inputs, variables) = wired(description, inputs)?;
         let output = wiring.output.unwrap_or_else(|| plain.mapping.output.clone());
+        let answer = answer(description, &output)?;
+        let output =
+            converted_output(output, answer).map_err(|problem| InvalidMapping::new("output.variable", problem))?;
         let mut command: Vec<String> = vec![HOST.to_owned(), "drive".to_owned()];
         let mut say = |option: &str, value: String| command.push(format!("--{option}={value}"));
-        variables(description, &inputs)?.into_iter().for_each(|variable| say("input", variable));
-        say("output", answer(description, &output)?);
+        variables.into_iter().for_each(|variable| say("input", variable));
+        say("output", answer.name.clone());
         for (name, value) in &wiring.parameters {
             let invalid = |problem| InvalidMapping::new(format!("parameters.{name}"), problem);
-            let Variable { kind, .. } = find(description, Causality::Parameter, name).map_err(invalid)?;
-            if !kind.accepts(*value) {
-                return Err(invalid(format!("{value} is no value of a parameter that is {}", kind.name())).into());
+            let variable = find(description, Causality::Parameter, name).map_err(invalid)?;
+            let value = converted_parameter(*value, variable).map_err(invalid)?;
+            if !variable.kind.accepts(value) {
+                let problem = format!("{value} is no value of a parameter that is {}", variable.kind.name());
+                return Err(invalid(problem).into());
             }
             say("parameter", format!("{name}={value}"));
         }
@@ -78,27 +87,29 @@ fn by_name(description: &Description) -> Result<Vec<Input>, InvalidMapping> {
     }
 }
 
-/// The variable of each input, none of them twice.
-fn variables(description: &Description, inputs: &[Input]) -> Result<Vec<String>, InvalidMapping> {
-    let mut variables: Vec<String> = Vec::with_capacity(inputs.len());
-    for (index, input) in inputs.iter().enumerate() {
-        let field = format!("inputs[{index}]");
+/// Returns the inputs in the units of their variables, and the names of these.
+fn wired(description: &Description, inputs: Vec<Input>) -> Result<(Vec<Input>, Vec<String>), InvalidMapping> {
+    let mut names: Vec<String> = Vec::with_capacity(inputs.len());
+    let mut converted = Vec::with_capacity(inputs.len());
+    for (index, input) in inputs.into_iter().enumerate() {
+        let invalid = |problem: String| InvalidMapping::new(format!("inputs[{index}]"), problem);
         let name = match (&input.variable, input.quantity) {
             (Some(variable), _) => variable,
             (None, Some(quantity)) => quantity.name(),
-            (None, None) => return Err(InvalidMapping::new(field, "a constant needs a `variable` that is set to it")),
+            (None, None) => return Err(invalid("a constant needs a `variable` that is set to it".to_owned())),
         };
-        find(description, Causality::Input, name).map_err(|problem| InvalidMapping::new(&*field, problem))?;
-        if variables.iter().any(|other| other == name) {
-            return Err(InvalidMapping::new(field, format!("the FMU's input `{name}` is set twice")));
+        let variable = find(description, Causality::Input, name).map_err(invalid)?;
+        if names.iter().any(|other| other == name) {
+            return Err(invalid(format!("the FMU's input `{name}` is set twice")));
         }
-        variables.push(name.to_owned());
+        names.push(name.to_owned());
+        converted.push(converted_input(input, variable).map_err(invalid)?);
     }
-    Ok(variables)
+    Ok((converted, names))
 }
 
-/// The output that is the answer.
-fn answer(description: &Description, output: &Output) -> Result<String, InvalidMapping> {
+/// Returns the output that is the answer.
+fn answer<'d>(description: &'d Description, output: &Output) -> Result<&'d Variable, InvalidMapping> {
     let invalid = |problem| InvalidMapping::new("output.variable", problem);
     let outputs: Vec<&Variable> =
         description.of(Causality::Output).filter(|variable| variable.kind == Kind::Real).collect();
@@ -109,7 +120,7 @@ fn answer(description: &Description, output: &Output) -> Result<String, InvalidM
     };
     let found = find(description, Causality::Output, name).map_err(invalid)?;
     match found.kind {
-        Kind::Real => Ok(found.name.clone()),
+        Kind::Real => Ok(found),
         kind => Err(invalid(format!("`{name}` is {}, and an acceleration is real", kind.name()))),
     }
 }

@@ -1,0 +1,147 @@
+//! The elements of an XML text that its reader asks for, read in time that is linear in the length of the text.
+
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, XmlVersion};
+
+/// Deepest level of an element that is kept, with the root on level 1. Dropping elements recurses to this depth.
+const MAX_DEPTH: usize = 4;
+/// Most elements and attributes that are kept.
+const MAX_KEPT: usize = 4_000_000;
+
+/// An element with the attributes and children that the reader asked for.
+#[derive(Debug)]
+pub(crate) struct Element {
+    /// Name without a namespace prefix.
+    pub(crate) name: &'static str,
+    /// Line of its start tag, from 1.
+    pub(crate) line: u32,
+    attributes: Vec<(&'static str, String)>,
+    /// Children in the order of the text.
+    pub(crate) children: Vec<Element>,
+}
+
+/// Reason why a text is refused.
+#[derive(Debug)]
+pub(crate) struct XmlProblem {
+    /// Line, from 1.
+    pub(crate) line: u32,
+    /// What is wrong there.
+    pub(crate) problem: String,
+}
+
+impl Element {
+    /// Returns the value of an attribute.
+    pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
+        self.attributes.iter().find(|(other, _)| *other == name).map(|(_, value)| value.as_str())
+    }
+
+    /// Returns the first child of a name.
+    pub(crate) fn child(&self, name: &str) -> Option<&Element> {
+        self.children.iter().find(|child| child.name == name)
+    }
+
+    /// Reads the root element of a text. Keeps only elements and attributes whose names are listed; an element below one that
+    /// is not kept is not kept either.
+    ///
+    /// # Errors
+    /// [`XmlProblem`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
+    pub(crate) fn read(text: &str, elements: &[&'static str], attributes: &[&'static str]) -> Result<Self, XmlProblem> {
+        let mut names = Names { elements, attributes, kept: 0 };
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let mut lines = Lines { text: text.as_bytes(), offset: 0, line: 1 };
+        let mut reader = Reader::from_str(text);
+        let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
+        loop {
+            let start = reader.buffer_position();
+            let event = reader.read_event();
+            let line = lines.line_at(if event.is_err() { reader.error_position() } else { start });
+            let wrong = |problem: String| XmlProblem { line, problem };
+            let is_outside = open.is_empty() && skipped == 0;
+            let done = match event.map_err(|error| wrong(error.to_string()))? {
+                Event::Start(_) | Event::Empty(_) if is_outside && root.is_some() => {
+                    return Err(wrong("there is a second root element".to_owned()));
+                }
+                Event::Start(tag) => {
+                    let element = names.element(&tag, line).map_err(wrong)?;
+                    match element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH) {
+                        Some(element) => open.push(element),
+                        None => skipped += 1,
+                    }
+                    None
+                }
+                Event::Empty(tag) => {
+                    let element = names.element(&tag, line).map_err(wrong)?;
+                    element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH)
+                }
+                Event::End(_) if skipped > 0 => {
+                    skipped -= 1;
+                    None
+                }
+                Event::End(_) => open.pop(),
+                Event::DocType(_) => return Err(wrong("has a document type declaration".to_owned())),
+                Event::Text(text) if is_outside && !text.iter().all(u8::is_ascii_whitespace) => {
+                    return Err(wrong("there is text outside of the root element".to_owned()));
+                }
+                Event::CData(_) | Event::GeneralRef(_) if is_outside => {
+                    return Err(wrong("there is text outside of the root element".to_owned()));
+                }
+                Event::Eof if !is_outside => return Err(wrong("the text ends within an element".to_owned())),
+                Event::Eof => return root.ok_or_else(|| wrong("there is no root element of a known name".to_owned())),
+                _ => None,
+            };
+            if let Some(done) = done {
+                match open.last_mut() {
+                    Some(parent) => parent.children.push(done),
+                    None => root = Some(done),
+                }
+            }
+        }
+    }
+}
+
+/// Names that are kept, and the number of elements and attributes that were kept so far.
+struct Names<'n> {
+    elements: &'n [&'static str],
+    attributes: &'n [&'static str],
+    kept: usize,
+}
+
+impl Names<'_> {
+    /// Reads a start tag; none for an element that is not kept. Attributes are checked in any case.
+    fn element(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<Element>, String> {
+        let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
+        let mut attributes = Vec::new();
+        for attribute in tag.attributes() {
+            let attribute = attribute.map_err(|error| error.to_string())?;
+            if let Some(name) = find(self.attributes, attribute.key.as_ref()) {
+                let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+                let value = value.map_err(|error| format!("attribute `{name}`: {error}"))?;
+                attributes.push((name, value.into_owned()));
+            }
+        }
+        let Some(name) = find(self.elements, tag.local_name().as_ref()) else { return Ok(None) };
+        self.kept += 1 + attributes.len();
+        if self.kept > MAX_KEPT {
+            return Err(format!("there are more than {MAX_KEPT} elements and attributes"));
+        }
+        Ok(Some(Element { name, line, attributes, children: Vec::new() }))
+    }
+}
+
+/// Line numbers of increasing places in a text.
+struct Lines<'a> {
+    text: &'a [u8],
+    offset: usize,
+    line: u32,
+}
+
+impl Lines<'_> {
+    /// Returns the line at a byte offset, which must not be before that of the last call.
+    fn line_at(&mut self, offset: u64) -> u32 {
+        let offset = usize::try_from(offset).unwrap_or(usize::MAX).min(self.text.len());
+        let passed = self.text.get(self.offset..offset).unwrap_or_default();
+        self.line += passed.iter().filter(|&&byte| byte == b'\n').count() as u32;
+        self.offset = self.offset.max(offset);
+        self.line
+    }
+}

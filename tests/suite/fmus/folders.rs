@@ -1,0 +1,105 @@
+//! Folders that FMUs are unpacked into: none stays behind, and none is removed while it is in use.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Stdio};
+
+use super::*;
+
+/// A folder with `odd.fmu`, which has a resource, and an empty `temporary` beside it.
+fn with_resource(what: &str) -> Option<tempfile::TempDir> {
+    let place = with_odd(what)?;
+    fs::create_dir(place.path().join("temporary")).unwrap();
+    let library = compiled(place.path(), ODD, &format!("-DWHAT={what}"))?;
+    let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
+    let resource = vec![7; 1 << 20];
+    let members: [(&str, &[u8]); 3] =
+        [("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library), ("resources/data", &resource)];
+    fs::write(place.path().join("odd.fmu"), archive(&members)).unwrap();
+    Some(place)
+}
+
+fn unpacked(place: &Path) -> Vec<std::path::PathBuf> {
+    fs::read_dir(place.join("temporary")).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+/// Starts the program that hosts FMUs, and waits until it has unpacked.
+fn host(place: &Path) -> Child {
+    let mut host = Command::new(env!("CARGO_BIN_EXE_crumple-fmu"))
+        .args(["drive", "--input=speed", "--output=command", "odd.fmu"])
+        .current_dir(place)
+        .env("TMPDIR", place.join("temporary"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let hello = "{\"crumple\":1,\"hello\":{\"step_s\":0.01,\"inputs\":[\"speed_mps\"],\"history\":1}}\n";
+    host.stdin.as_mut().unwrap().write_all(hello.as_bytes()).unwrap();
+    let mut answer = String::new();
+    BufReader::new(host.stdout.as_mut().unwrap()).read_line(&mut answer).unwrap();
+    assert!(answer.contains("\"crumple\":1"), "{answer}");
+    host
+}
+
+fn simulate_odd(place: &Path) -> std::process::Output {
+    Command::new(env!("CARGO_BIN_EXE_crumple"))
+        .args(["simulate", "paper-1", "--controller", "odd.toml"])
+        .current_dir(place)
+        .env("TMPDIR", place.join("temporary"))
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_run_leaves_no_unpacked_folder_behind() {
+    let Some(place) = with_resource("NOTHING") else { return };
+    let ran = simulate_odd(place.path());
+    assert_eq!(code(&ran), 0, "{}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+}
+
+#[test]
+fn what_killed_hosts_left_is_removed_at_the_next_start_and_what_is_in_use_is_not() {
+    let Some(place) = with_resource("NOTHING") else { return };
+    let mut killed = [host(place.path()), host(place.path())];
+    let mut running = host(place.path());
+    assert_eq!(unpacked(place.path()).len(), 3);
+    for host in &mut killed {
+        host.kill().unwrap();
+        host.wait().unwrap();
+    }
+    assert_eq!(unpacked(place.path()).len(), 3);
+    assert_eq!(code(&simulate_odd(place.path())), 0);
+    let [left] = unpacked(place.path()).try_into().expect("that of the host that runs");
+    assert_eq!(fs::metadata(left.join("resources/data")).unwrap().len(), 1 << 20);
+    drop(running.stdin.take());
+    assert!(running.wait().unwrap().success());
+    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+}
+
+/// A host that crashes cannot remove its folder; the next one does.
+#[test]
+fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
+    let Some(place) = with_resource("CRASH") else { return };
+    for _ in 0..3 {
+        assert_eq!(code(&simulate_odd(place.path())), 1);
+    }
+    assert!(unpacked(place.path()).len() <= 2, "{:?}", unpacked(place.path()));
+    drop(host(place.path()).wait_with_output());
+    assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
+}
+
+#[test]
+fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
+    let place = folder();
+    let source = "extern int missing_symbol; int *reference = &missing_symbol;";
+    let Some(undefined) = compiled(place.path(), source, "-DNOTHING") else { return };
+    for (library, reason) in [(undefined.as_slice(), "missing_symbol"), (&[b'x'; 100], "binaries/")] {
+        let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&member(2, "follower"), library)];
+        fs::write(place.path().join("follower.fmu"), archive(&members)).unwrap();
+        let ran = crumple(place.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+        let said = String::from_utf8_lossy(&ran.stderr).into_owned();
+        assert_eq!(code(&ran), 2, "{said}");
+        assert!(said.contains("its library cannot be loaded: ") && said.contains(reason), "{said}");
+        assert!(said.contains("build the FMU for this system") && !said.contains("crumple-fmu-run-"), "{said}");
+    }
+}
