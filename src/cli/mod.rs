@@ -70,7 +70,6 @@ struct Arguments {
     /// Also start programs and FMUs that files name: scenarios, spaces, suites, shards, campaigns, certificates. Without it crumple
     /// starts only what this command line names, or a configuration or controller file on it
     #[arg(long, global = true)]
-    #[expect(dead_code, reason = "`allows_external` reads it before clap reads values, some of which are files")]
     allow_external: bool,
     #[command(subcommand)]
     command: Command,
@@ -164,7 +163,8 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// Returns true if the arguments hold the option `--allow-external`.
+/// Returns true if the arguments hold the option `--allow-external`. Asked before clap reads values, since some values are names
+/// of files that clap has read.
 fn allows_external(arguments: &[OsString]) -> bool {
     arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--allow-external")
 }

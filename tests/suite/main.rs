@@ -13,9 +13,9 @@ mod corpora;
 mod damage;
 mod engines;
 mod estimation;
+mod explore;
 #[cfg(unix)]
 mod external;
-mod explore;
 #[cfg(target_os = "linux")]
 mod faults;
 mod findings;

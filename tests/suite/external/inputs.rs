@@ -1,6 +1,5 @@
 //! Files that name a program: scenarios, spaces, a campaign, a certificate, and shards. The program leaves a marker when it starts.
 
-use std::cell::RefCell;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
@@ -83,15 +82,17 @@ pub(super) struct Said {
     pub(super) error: String,
 }
 
+/// A folder with the files.
 pub(super) struct Inputs {
     folder: TempDir,
-    /// Folders and files that commands may write; removed before each.
-    outputs: RefCell<Vec<&'static str>>,
 }
+
+/// Folders and files that commands may write; removed before each command.
+const OUTPUTS: [&str; 3] = ["o", "o.toml", "pages"];
 
 impl Inputs {
     pub(super) fn new() -> Self {
-        let inputs = Self { folder: folder(), outputs: RefCell::new(vec!["o", "o.toml", "pages"]) };
+        let inputs = Self { folder: folder() };
         inputs.write_files();
         inputs.make_work();
         assert!(inputs.has_started(), "the work was made with the program");
@@ -104,7 +105,7 @@ impl Inputs {
 
     /// Runs a command.
     pub(super) fn run(&self, words: &[&str]) -> Said {
-        for output in self.outputs.borrow().iter() {
+        for output in OUTPUTS {
             let path = self.folder().join(output);
             let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         }
@@ -145,13 +146,14 @@ impl Inputs {
         self.write("scenarios.toml", assessed(idm, "scenarios = [\"driven.toml\"]"));
         self.write("spaces.toml", assessed(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"));
         let preset = crate::tiny::training();
-        self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\n"));
+        self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
 
     /// A campaign, a certificate and shards, made with permission.
     fn make_work(&self) {
         let search = ["falsify", "--controller", "idm", "--space", "space.toml", "--budget", "2", "--allow-external"];
-        let count = ["verify", "rate", "--controller", "idm", "--space", "space.toml", "--runs", "2", "--allow-external"];
+        let count =
+            ["verify", "rate", "--controller", "idm", "--space", "space.toml", "--runs", "2", "--allow-external"];
         let suite = ["suite", "run", "suite.toml", "--controller", "evil.toml", "--shard", "1/1"];
         let work: [(&[&str], &[&str]); 5] = [
             (&search, &["--out", "campaign"]),
@@ -179,7 +181,7 @@ impl Inputs {
 }
 
 /// Writes the hashes of a folder's files into its manifest, as an attacker would. The files keep their lengths.
-pub(super) fn rehash(folder: &Path) {
+fn rehash(folder: &Path) {
     let path = folder.join("work.json");
     let mut text = fs::read_to_string(&path).unwrap();
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -29,9 +29,7 @@ pub fn refitted(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError
 pub(super) fn marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Marginal>, FitError> {
     let fitted = |parameter: &ObservedParameter| match stated(spec, &parameter.name) {
         Some(distribution) => Marginal::of(parameter, distribution),
-        None => {
-            Err(InvalidSpace::new("observed.parameters", format!("there is no `{}`", parameter.name)).into())
-        }
+        None => Err(InvalidSpace::new("observed.parameters", format!("there is no `{}`", parameter.name)).into()),
     };
     observed.parameters.par_iter().map(fitted).collect()
 }

@@ -56,7 +56,9 @@ pub enum UnavailableController {
         source: UnknownController,
     },
     /// Its name stands for another controller here.
-    #[error("the recorded controller `{name}` is not available: its identity is {recorded}, and here `{name}` has {found}")]
+    #[error(
+        "the recorded controller `{name}` is not available: its identity is {recorded}, and here `{name}` has {found}"
+    )]
     Other {
         /// Its name.
         name: String,
@@ -219,10 +221,7 @@ impl MergedSuite {
 
     /// Looks the recorded controllers up by their names, whose relative paths start at `folder`. Only a controller with the
     /// recorded identity is available.
-    pub fn controllers(
-        &self,
-        folder: &Path,
-    ) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
+    pub fn controllers(&self, folder: &Path) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
         self.run.controllers.iter().map(move |(name, recorded)| {
             let found = NamedController::find(name, folder)
                 .map_err(|source| UnavailableController::NotFound { name: name.clone(), source })?;

@@ -284,9 +284,8 @@ fn load(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFile
         return Err(wrong(InvalidMapping::new("version", problem)).into());
     }
     let folder = path.with_file_name("");
-    let permission = |field: &str| {
-        named_by.permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))
-    };
+    let permission =
+        |field: &str| named_by.permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)));
     match file.drives().map_err(wrong)? {
         Drives::Network(name) => {
             let normalised = file.normalised;

@@ -19,7 +19,9 @@ pub struct StartPermission(());
 
 /// Refusal to start a program, or to load an FMU, that only a file names.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{place}: crumple starts no program that only a file names: add --allow-external if you trust the file")]
+#[error(
+    "{place}: crumple starts no program, and loads no FMU, that only a file names: add --allow-external if you trust the file"
+)]
 pub struct StartRefused {
     /// Place that names the program: file, line and field, or the name itself.
     pub place: String,
