@@ -83,6 +83,8 @@ pub(super) struct Assess {
 
 /// The folder in a report's in which evidence is kept for the next one.
 pub(super) const EVIDENCE: &str = "evidence";
+/// The file that lists the files of a report.
+pub(super) const LISTING: &str = "report.sha256";
 
 impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
@@ -116,7 +118,8 @@ impl Assess {
             )));
         }
         // Reports of earlier builds have no listing, but a manifest.
-        let folder = OutputFolder::listed(&self.out, "report.sha256")?.knowing(work::digests_in(&self.out, REPORT));
+        let folder = OutputFolder::listed(&self.out, LISTING)?.knowing(work::digests_in(&self.out, REPORT));
+        folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
         let store = Store::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.without_identity() {
             let note = format!(

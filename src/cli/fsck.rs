@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::assess::EVIDENCE;
+use super::assess::{EVIDENCE, LISTING};
 use super::simulate::Format;
 use super::{Failure, output};
 use crumple_report::assessment::REPORT;
@@ -156,8 +156,8 @@ impl Fsck {
         *text += &restored.as_ref().map_or_else(String::new, |restored| back(folder, restored));
         let mut found = with_journal(folder, examine(folder)?)?;
         if found.kind == REPORT {
-            // Kept for the next report, under hashes of its own.
-            found.beside.retain(|name| name != EVIDENCE);
+            // Both are for the next report, and have hashes of their own.
+            found.beside.retain(|name| name != EVIDENCE && name != LISTING);
         }
         // A part of a campaign is as it was written, and yet is not all of it.
         let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);

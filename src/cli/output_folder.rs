@@ -55,6 +55,15 @@ impl OutputFolder {
         self
     }
 
+    /// Checks before long work that results of these names may be written whatever they contain.
+    pub(super) fn check(&self, names: &[&str]) -> Result<(), Failure> {
+        let is_own = |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged(name).is_some();
+        match names.iter().find(|name| !is_own(name)) {
+            Some(name) => Err(Failure::Input(format!("{}: {LISTED}", self.path.join(name).display()))),
+            None => Ok(()),
+        }
+    }
+
     /// Writes files by their names, and the listing. Makes the folder if it is not there. A file with the same contents stays as it is.
     pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), Failure> {
         disk::make_folder(&self.path)?;
@@ -115,7 +124,7 @@ impl OutputFolder {
 }
 
 const LINK: &str = "is a symbolic link, and results are files of their own: remove it, or write elsewhere";
-const LISTED: &str = "has changed, or crumple did not write it: move it, or use another --out";
+const LISTED: &str = "has changed, or crumple did not write it here: move it, or use another --out";
 const UNLISTED: &str = "is there and says something else: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.

@@ -7,6 +7,7 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::output_folder::{EarlierFiles, OutputFolder};
 use super::preset::Preset;
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
@@ -14,7 +15,7 @@ use crumple_learn::rl::{
     ConfigError, Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig,
     TrainingError, TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
 };
-use crumple_search::disk::{self, Files};
+use crumple_search::disk;
 use crumple_search::shard::{MissingShards, Shard, as_array};
 use crumple_search::work;
 
@@ -66,7 +67,8 @@ pub(super) struct Train {
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
     shard: Option<Shard>,
-    /// Folder for policies, logs and checkpoints; made if it is not there
+    /// Folder for policies, logs and checkpoints, made if it is not there; `training.sha256` lists the results that every command with this
+    /// folder writes anew
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
     out: PathBuf,
     /// Go on from the checkpoints in the folder
@@ -117,6 +119,9 @@ impl Train {
         disk::make_folder(&self.out)?;
         // What cannot stand beside these is known before the work begins.
         finished_trainings(&self.out, &config)?;
+        let check = || results_folder(&self.out)?.check(&RESULTS);
+        // Another training with the same --out may be writing them.
+        check().or_else(|_| work::exclusively(&self.out, check))?;
         if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
             TrainingShard::new(shard, count, &config)?.write_in(&self.out)?;
         }
@@ -205,20 +210,26 @@ impl Train {
     }
 }
 
+/// The files that every training with the same --out writes anew.
+const RESULTS: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
+
+fn results_folder(out: &Path) -> Result<OutputFolder, Failure> {
+    OutputFolder::listed(out, "training.sha256")
+}
+
 /// Writes what all seeds in the folder have come to, those of earlier commands with these.
 fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
-    disk::remove_unfinished(out)?;
     let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(out, config)?.into_iter().unzip();
-    let mut files = Files::default();
     let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
-    let json = serde_json::to_string_pretty(&all).map_err(Failure::input)?;
-    files.stage(&out.join("training.json"), format!("{json}\n").as_bytes())?;
     let curve = LearningCurve::from_logs(&config.name, &logs);
-    let json = serde_json::to_string_pretty(&curve).map_err(Failure::input)?;
-    files.stage(&out.join("learning-curve.json"), format!("{json}\n").as_bytes())?;
+    let contents = [
+        serde_json::to_string_pretty(&all).map_err(Failure::input)? + "\n",
+        serde_json::to_string_pretty(&curve).map_err(Failure::input)? + "\n",
+        crumple_report::figures::learning_curve(&curve).document(),
+    ];
+    let files: Vec<_> = RESULTS.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
+    results_folder(out)?.write(&files, EarlierFiles::Stay)?;
     let picture = out.join("learning-curve.svg");
-    files.stage(&picture, crumple_report::figures::learning_curve(&curve).document().as_bytes())?;
-    files.commit()?;
     let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
     output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
     Ok(())
