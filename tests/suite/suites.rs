@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_search::suite::{
-    Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite, TestVerdict, Unit,
-    json_schema, run,
+    Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite,
+    TestVerdict, Unit, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
@@ -406,10 +406,7 @@ fn failures_say_who_could_have_prevented_them_and_refusals_why() {
         stopped.failed[place].references.iter().find(|run| run.driver == driver).unwrap().prevention
     };
     // From 2 s on the competent human stops from 50 km/h, and not from 80 km/h.
-    assert_eq!(
-        [0, 1].map(|place| does(place, "competent-human")),
-        [Prevention::Prevents, Prevention::Collides]
-    );
+    assert_eq!([0, 1].map(|place| does(place, "competent-human")), [Prevention::Prevents, Prevention::Collides]);
     assert_eq!((does(0, "r157-simple"), does(0, "rss")), (Prevention::Prevents, Prevention::Prevents));
     assert_eq!(stopped.failed[0].avoidability.is_avoidable(), Some(true));
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
@@ -534,9 +531,8 @@ fn the_competent_human_reacts_to_vehicles_that_change_lanes() {
         for (_, test) in result.tests() {
             let tested = &test.controllers[0];
             if test.name.starts_with("cut-in") {
-                let brakes = |run: &ReferenceRun| {
-                    run.driver == "competent-human" && run.prevention == Prevention::Collides
-                };
+                let brakes =
+                    |run: &ReferenceRun| run.driver == "competent-human" && run.prevention == Prevention::Collides;
                 assert!(tested.failed.iter().all(|failed| failed.references.iter().any(brakes)), "{}", test.name);
             } else if test.name == "cut-out" {
                 assert!(tested.verdict.is_passed(), "{estimator:?}: {:?}", tested.verdict);

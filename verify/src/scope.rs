@@ -73,7 +73,9 @@ impl Certificate {
         let is_followed = self.statement.scene().is_some_and(|scene| scene.follower.is_some());
         scope.behind = match (scope.behind.filter(|_| is_followed), left_out) {
             (behind, 0) => Some(behind.unwrap_or_else(|| NO_VEHICLE_BEHIND.to_owned())),
-            (Some(behind), _) => Some(format!("{behind}\nfarther behind: {left_out} {vehicles}, not part of the claim")),
+            (Some(behind), _) => {
+                Some(format!("{behind}\nfarther behind: {left_out} {vehicles}, not part of the claim"))
+            }
             (None, _) => Some(format!("behind: {left_out} {vehicles}, not part of the claim")),
         };
         scope

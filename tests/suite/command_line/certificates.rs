@@ -350,10 +350,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         (code(&said), stdout(&said))
     };
     let pieces = |accel_mps2: [f64; 3]| {
-        Driver::Profile(LeadProfile::Pieces(Pieces {
-            from_s: vec![1.0, 2.0, 3.0],
-            accel_mps2: accel_mps2.to_vec(),
-        }))
+        Driver::Profile(LeadProfile::Pieces(Pieces { from_s: vec![1.0, 2.0, 3.0], accel_mps2: accel_mps2.to_vec() }))
     };
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
     for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {

@@ -19,7 +19,9 @@ pub enum ScriptBeyondLimit {
         mps2: f64,
     },
     /// The script brakes harder.
-    #[error("its leader's script `{script}` brakes at {mps2} m/s², and the statement's leader at {limit_mps2} m/s² at most")]
+    #[error(
+        "its leader's script `{script}` brakes at {mps2} m/s², and the statement's leader at {limit_mps2} m/s² at most"
+    )]
     BrakesHarder {
         /// The name of the script's kind.
         script: &'static str,
@@ -56,9 +58,10 @@ pub(super) fn keeps_within(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64
             let pieces = pieces.from_s.iter().zip(&pieces.accel_mps2).take_while(|(from_s, _)| **from_s <= horizon_s);
             hull(pieces.map(|(_, &mps2)| [mps2; 2]))
         }
-        LeadProfile::ConstantSpeed | LeadProfile::Brake(_) | LeadProfile::RampBrake(_) | LeadProfile::BrakeToSpeed(_) => {
-            profile.acceleration_range_mps2()
-        }
+        LeadProfile::ConstantSpeed
+        | LeadProfile::Brake(_)
+        | LeadProfile::RampBrake(_)
+        | LeadProfile::BrakeToSpeed(_) => profile.acceleration_range_mps2(),
     };
     let script = profile.name();
     if highest > 0.0 {
@@ -180,6 +183,9 @@ mod tests {
         assert!(matches!(rounded, Err(ScriptBeyondLimit::BrakesHarder { mps2, .. }) if mps2 > 3.0 && mps2 < 3.000_001));
         let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);
         assert_eq!(keeps_within(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
-        assert!(keeps_within(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S).is_err());
+        assert!(
+            keeps_within(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S)
+                .is_err()
+        );
     }
 }

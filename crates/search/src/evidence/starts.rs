@@ -109,7 +109,10 @@ impl Starts {
     ///
     /// # Errors
     /// [`InvalidBox`], likewise.
-    pub(super) fn from_scenario(scenario: &Scenario, leader_brakes_at_most_mps2: Option<f64>) -> Result<Self, InvalidBox> {
+    pub(super) fn from_scenario(
+        scenario: &Scenario,
+        leader_brakes_at_most_mps2: Option<f64>,
+    ) -> Result<Self, InvalidBox> {
         let point = BoxSpec::around(&scenario.spec().name, RangesSpec::default());
         Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
     }

@@ -164,7 +164,8 @@ mod tests {
                 let held_m = rise_s / EGO.step_s * j * EGO.step_s.powi(3) / 12.0;
                 let expected_m =
                     v * (tau + t) - c * t * t / 2.0 + ramp_m - held_m + v2 * v2 / (2.0 * settings.brake_mps2);
-                let found_m = stopping_distance_m(start(&settings), v, |speed_mps| behind(speed_mps, 90.0, 10.0, -5.01));
+                let found_m =
+                    stopping_distance_m(start(&settings), v, |speed_mps| behind(speed_mps, 90.0, 10.0, -5.01));
                 assert!((found_m - expected_m).abs() < 1e-9, "{v} m/s: {found_m} against {expected_m}");
             }
         }
