@@ -10,7 +10,7 @@ use crumple_learn::rl::PRESETS;
 use crumple_search::suite::SHIPPED;
 use crumple_world::recording::map::BUILT_IN_MAPS;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
-use crumple_world::scenario::{VehicleClass, built_in, built_in_names, file};
+use crumple_world::scenario::{Scenario, VehicleClass, built_in, built_in_names, file};
 
 /// Print something built in as the file that a user could write
 #[derive(Args)]
@@ -52,51 +52,25 @@ enum BuiltInKind {
 }
 
 impl BuiltInKind {
-    const ALL: [Self; 7] =
-        [Self::Scenario, Self::Space, Self::Preset, Self::Suite, Self::Map, Self::Box, Self::VehicleClass];
-
-    fn word(self) -> &'static str {
-        match self {
-            Self::Scenario => "scenario",
-            Self::Space => "space",
-            Self::Preset => "preset",
-            Self::Suite => "suite",
-            Self::Map => "map",
-            Self::Box => "box",
-            Self::VehicleClass => "vehicle-class",
-        }
+    fn word(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
-    /// The names that there are of the kind.
-    fn names(self) -> Vec<&'static str> {
-        match self {
-            Self::Scenario => built_in_names().map(|(name, _)| name).into(),
-            Self::Space => BUILT_IN_SPACES.map(|(name, ..)| name).into(),
-            Self::Preset => PRESETS.iter().map(|(name, _)| *name).chain([RETRAIN[0]]).collect(),
-            Self::Suite => SHIPPED.map(|(name, _)| name).into(),
-            Self::Map => BUILT_IN_MAPS.map(|(name, _)| name).into(),
-            Self::Box => BOXES.map(|(name, _)| name).into(),
-            Self::VehicleClass => VehicleClass::ALL.iter().map(|class| class.name()).collect(),
-        }
-    }
-
-    /// The text of the file of one; none of an unknown name.
-    fn text(self, name: &str) -> Result<Option<String>, Failure> {
-        let text_of =
-            |all: &[(&str, &str)]| all.iter().find(|(known, _)| *known == name).map(|(_, text)| (*text).to_owned());
+    /// Returns the names and the texts of all that there are of the kind.
+    fn files(self) -> Result<Vec<(&'static str, String)>, Failure> {
+        let owned = |(name, text): (&'static str, &str)| (name, text.to_owned());
         Ok(match self {
             Self::Scenario => {
-                built_in(name).map(|scenario| file::to_toml(&scenario)).transpose().map_err(Failure::input)?
+                let text = |scenario: &Scenario| file::to_toml(scenario).map_err(Failure::input);
+                let all = built_in_names().into_iter().filter_map(|(name, _)| Some((name, built_in(name)?)));
+                all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, Failure>>()?
             }
-            Self::Space => text_of(&BUILT_IN_SPACES.map(|(name, _, text)| (name, text))),
-            Self::Preset if name == RETRAIN[0] => Some(TRAINING_PRESET_TEXT.to_owned()),
-            Self::Preset => text_of(&PRESETS),
-            Self::Suite => text_of(&SHIPPED),
-            Self::Map => text_of(&BUILT_IN_MAPS),
-            Self::Box => text_of(&BOXES),
-            Self::VehicleClass => {
-                VehicleClass::ALL.iter().find(|class| class.name() == name).map(|class| lines_of(*class))
-            }
+            Self::Space => BUILT_IN_SPACES.map(|(name, _, text)| owned((name, text))).into(),
+            Self::Preset => PRESETS.into_iter().chain([(RETRAIN[0], TRAINING_PRESET_TEXT)]).map(owned).collect(),
+            Self::Suite => SHIPPED.map(owned).into(),
+            Self::Map => BUILT_IN_MAPS.map(owned).into(),
+            Self::Box => BOXES.map(owned).into(),
+            Self::VehicleClass => VehicleClass::ALL.iter().map(|class| (class.name(), lines_of(*class))).collect(),
         })
     }
 }
@@ -116,28 +90,27 @@ fn lines_of(class: VehicleClass) -> String {
 
 impl Show {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let name = self.name.as_str();
-        let wanted = |kind: &BuiltInKind| self.kind.is_none_or(|wanted| wanted == *kind);
-        let kinds: Vec<_> =
-            BuiltInKind::ALL.into_iter().filter(wanted).filter(|kind| kind.names().contains(&name)).collect();
-        let Some((first, others)) = kinds.split_first() else { return Err(self.unknown()) };
-        let text = first.text(name)?.ok_or_else(|| self.unknown())?;
-        for other in others {
-            let note = format!(
-                "note: this is the {}; --kind {} shows the {} `{name}`",
-                first.word(),
-                other.word(),
-                other.word()
-            );
-            output::note(&note, quiet);
+        let (mut found, mut known) = (Vec::new(), Vec::new());
+        for kind in BuiltInKind::value_variants() {
+            if self.kind.is_none_or(|wanted| wanted == *kind) {
+                let files = kind.files()?;
+                let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
+                known.push(format!("{}: {}", kind.word(), names.join(", ")));
+                found.extend(
+                    files.into_iter().filter(|(name, _)| *name == self.name).map(|(_, text)| (kind.word(), text)),
+                );
+            }
         }
-        output::print(&text)
-    }
-
-    fn unknown(&self) -> Failure {
-        let of = |kind: BuiltInKind| format!("{}: {}", kind.word(), kind.names().join(", "));
-        let kinds = BuiltInKind::ALL.into_iter().filter(|kind| self.kind.is_none_or(|wanted| wanted == *kind));
-        let known: Vec<_> = kinds.map(of).collect();
-        Failure::Input(format!("there is nothing built in of the name `{}`; there are {}", self.name, known.join("; ")))
+        let Some(((first, text), others)) = found.split_first() else {
+            let problem = format!("nothing of the name `{}` is built in; there are {}", self.name, known.join("; "));
+            return Err(Failure::Input(problem));
+        };
+        for (other, _) in others {
+            output::note(
+                &format!("note: this is the {first}; --kind {other} shows the {other} `{}`", self.name),
+                quiet,
+            );
+        }
+        output::print(text)
     }
 }
