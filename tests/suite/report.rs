@@ -8,7 +8,7 @@ use crumple_report::assessment::{AssessConfig, Assessment, AssessmentPlan, Best,
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
-static BUILT_IN: LazyLock<Assessment> =
+pub(crate) static BUILT_IN: LazyLock<Assessment> =
     LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &|_| {}).expect("runs"));
 
 fn committed(name: &str) -> String {

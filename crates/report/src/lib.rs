@@ -14,6 +14,7 @@ pub mod export;
 pub mod figures;
 mod markdown;
 pub mod suite;
+mod units;
 
 /// The style sheet of pages: words, tables, and the reader's colour scheme. Figures bring [`draw::STYLE`] besides.
 pub const PAGE_STYLE: &str = include_str!("page.css");

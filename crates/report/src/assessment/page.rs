@@ -4,6 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::Markdown;
 use super::{Assessment, Part};
+use crate::units::without_breaks_before_units;
 use crate::{PAGE_STYLE, draw};
 use crumple_world::quoted::Lines;
 
@@ -37,7 +38,7 @@ pub(super) fn html(assessment: &Assessment) -> String {
         }
     };
     // A page is text too: what turns the direction of names would turn the verdict beside them.
-    Lines(&page.into_string()).to_string()
+    without_breaks_before_units(&Lines(&page.into_string()).to_string())
 }
 
 /// The first page alone, as a page.
@@ -46,7 +47,7 @@ pub(super) fn first_page(assessment: &Assessment) -> String {
         (DOCTYPE)
         html lang="en" { (head(assessment)) body { main { section { (assessment.first_page.html()) } } } }
     };
-    Lines(&page.into_string()).to_string()
+    without_breaks_before_units(&Lines(&page.into_string()).to_string())
 }
 
 fn head(assessment: &Assessment) -> Markup {

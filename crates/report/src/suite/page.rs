@@ -5,6 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::words::{allowed, least_margins, prevention, verdict, within_in_words};
 use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
+use crate::units::without_breaks_before_units;
 use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::quoted::Lines;
@@ -24,7 +25,7 @@ pub fn html(
     replay: impl Fn(&Failed, &Tested) -> Option<String>,
 ) -> String {
     let page = Page { result, controllers, replay: &replay };
-    Lines(&page.document().into_string()).to_string()
+    without_breaks_before_units(&Lines(&page.document().into_string()).to_string())
 }
 
 struct Page<'a> {

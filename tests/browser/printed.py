@@ -1,0 +1,74 @@
+#!/usr/bin/env python3
+"""Prints pages as PDF and compares: `printed.py PAGE.html...`. Each text of the page is in the PDF, and no line begins with the unit of the number above it.
+
+Needs chromium and pdftotext on the path; without them it says so and ends with 77.
+"""
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from html.parser import HTMLParser
+from pathlib import Path
+
+SKIPPED = 77
+# What paper has no use for, and figures, whose texts do not wrap.
+LEFT_OUT = {"head", "nav", "script", "svg"}
+VOID = {"br", "input", "meta"}
+
+
+class Texts(HTMLParser):
+    """The texts of a page that belong on paper."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.texts = [], []
+
+    def handle_starttag(self, tag, attributes):
+        is_left_out = tag in LEFT_OUT or "draw-controls" in (dict(attributes).get("class") or "")
+        if tag not in VOID:
+            self.open.append((tag, is_left_out))
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop()[0] == tag, f"</{tag}> closes something else"
+
+    def handle_data(self, data):
+        if not any(left_out for _, left_out in self.open):
+            self.texts.append(data)
+
+
+def without_spaces(text):
+    return re.sub(r"\s+", "", text)
+
+
+def check(chromium, page, folder):
+    """Prints a page, and ends the program with what is missing in the PDF."""
+    pdf = folder / "printed.pdf"
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-pdf-header-footer", f"--user-data-dir={folder}/profile"]
+    subprocess.run([chromium, *options, f"--print-to-pdf={pdf}", page.resolve().as_uri()], check=True, capture_output=True, timeout=240)
+    printed = subprocess.run(["pdftotext", "-raw", pdf, "-"], check=True, capture_output=True, text=True).stdout
+    parser = Texts()
+    parser.feed(page.read_text())
+    whole = without_spaces(printed)
+    missing = [text for text in parser.texts if without_spaces(text) not in whole]
+    dangling = re.findall(r"^.*\d\n\(?(?:m/s|m²/s³|m|s|%|km/h)\b.*", printed, re.MULTILINE)
+    print(f"{page.name}: {len(parser.texts)} texts, {len(missing)} missing in the PDF, {len(dangling)} lines that begin with a unit")
+    if not parser.texts or missing or dangling:
+        sys.exit("\n".join(["missing:", *missing[:20], "dangling:", *dangling[:20]]))
+
+
+def main(*pages):
+    """Checks each page."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if not chromium or not shutil.which("pdftotext"):
+        print("skipped: no chromium, or no pdftotext")
+        sys.exit(SKIPPED)
+    with tempfile.TemporaryDirectory() as folder:
+        for page in pages:
+            check(chromium, Path(page), Path(folder))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,72 @@
+//! Commands of the documentation, as far as they can be judged without a run: `.ci/commands` runs them.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Returns a file, or all files of a folder and of those in it.
+fn files(path: PathBuf) -> Vec<PathBuf> {
+    match fs::read_dir(&path) {
+        Ok(entries) => entries.flat_map(|entry| files(entry.unwrap().path())).collect(),
+        Err(_) => vec![path],
+    }
+}
+
+/// Returns the commands of each page that users read.
+fn commands() -> BTreeMap<String, Vec<String>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found = BTreeMap::new();
+    for folder in ["docs", "corpora", "examples", "python", "reports", "README.md", "CONTRIBUTING.md"] {
+        for page in files(root.join(folder)).into_iter().filter(|path| path.extension().is_some_and(|end| end == "md"))
+        {
+            let text = fs::read_to_string(&page).unwrap();
+            let mut kind = None;
+            let mut lines = Vec::new();
+            for line in text.lines() {
+                match (line.strip_prefix("```"), kind) {
+                    (Some(after), None) => kind = Some(after),
+                    (Some(_), Some(_)) => kind = None,
+                    (None, Some("sh")) => lines.push(line),
+                    (None, Some("console")) => lines.extend(line.strip_prefix("$ ")),
+                    (None, Some(_)) => {}
+                    (None, None) => lines.extend(line.strip_suffix("` |").and_then(|row| row.rsplit('`').next())),
+                }
+            }
+            let commands = lines.iter().map(|line| line.split(" # ").next().unwrap_or(line).trim().to_owned());
+            found.insert(page.strip_prefix(root).unwrap().display().to_string(), commands.collect());
+        }
+    }
+    found
+}
+
+#[test]
+fn every_variable_of_a_command_is_set_on_its_page() {
+    for (page, commands) in commands() {
+        for command in &commands {
+            for name in command.split('$').skip(1).map(|rest| rest.trim_start_matches(['{', '('])) {
+                let name: String = name.chars().take_while(|c| c.is_ascii_alphanumeric() || *c == '_').collect();
+                let is_set = commands
+                    .iter()
+                    .any(|line| line.contains(&format!("for {name} in ")) || line.contains(&format!("{name}=")));
+                assert!(name.is_empty() || is_set, "{page}: `{command}` needs ${name}, which the page does not set");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_exception_is_a_command_of_a_page_with_its_reason_and_run_time() {
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(".ci/commands.toml")).unwrap();
+    let list: toml::Table = text.parse().unwrap();
+    let pages = commands();
+    for exception in list["exception"].as_array().unwrap() {
+        let field = |name: &str| exception.get(name).and_then(toml::Value::as_str);
+        let command = field("command").unwrap();
+        let is_shown = |(page, commands): (&String, &Vec<String>)| {
+            field("page").is_none_or(|named| named == page) && commands.iter().any(|shown| shown == command)
+        };
+        assert!(pages.iter().any(is_shown), "no page shows `{command}`");
+        assert!(field("reason").is_some() && (field("takes").is_some() || field("until").is_some()), "{command}");
+    }
+    assert!(pages["docs/tutorial.md"].len() > 10 && pages["README.md"].len() > 10);
+}

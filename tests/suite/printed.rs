@@ -1,0 +1,71 @@
+//! Pages on paper: what a page folds away is printed, and units stay with their numbers.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crumple_report::suite::html;
+use crumple_search::suite::{Suite, run};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+
+use crate::command_line::folder;
+use crate::report::BUILT_IN;
+
+/// Elements that paper has no use for: links and buttons.
+const NOT_PRINTED: [&str; 2] = ["nav", ".draw-controls"];
+
+/// Returns the rules of a page's style that hold in print only, as selectors and declarations.
+fn print_rules(page: &str) -> Vec<(&str, &str)> {
+    let (_, style) = page.split_once("<style>").unwrap();
+    let (style, _) = style.split_once("</style>").unwrap();
+    let of_block = |block: &'static str| style.split(block).skip(1).filter_map(|rest| rest.split_once("}}"));
+    let rules = ["@media print{", "@media print,(min-width:900px){"].into_iter().flat_map(of_block);
+    rules.flat_map(|(block, _)| block.split('}')).filter_map(|rule| rule.split_once('{')).collect()
+}
+
+/// Checks the style of a page, and the printed page itself where there is a Chromium.
+fn assert_prints_everything(page: &str, folded: usize) {
+    assert!(page.matches("<details").count() >= folded);
+    let rules = print_rules(page);
+    assert!(rules.contains(&("details::details-content", "content-visibility:visible")), "{rules:?}");
+    for (selectors, declarations) in &rules {
+        if ["display:none", "visibility:hidden", "overflow:hidden"].iter().any(|hides| declarations.contains(hides)) {
+            assert!(selectors.split(',').all(|selector| NOT_PRINTED.contains(&selector)), "{selectors} is not printed");
+        }
+    }
+    let outside_figures = page.split("<svg").map(|part| part.split_once("</svg>").map_or(part, |(_, text)| text));
+    let outside_commands = outside_figures
+        .flat_map(|text| text.split("<code>"))
+        .map(|part| part.split_once("</code>").map_or(part, |(_, text)| text));
+    let before_units = [" m/s,", " m/s<", " m/s²", " m,", " m<", " s,", " s<", " %<"];
+    for text in outside_commands {
+        let ends = before_units.iter().flat_map(|unit| text.match_indices(unit).map(|(at, _)| &text[..at]));
+        let mut broken = ends.filter(|text| text.ends_with(|c: char| c.is_ascii_digit()));
+        assert_eq!(broken.next(), None, "a line may end between a number and its unit");
+    }
+    let folder = folder();
+    let file = folder.path().join("page.html");
+    fs::write(&file, page).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser/printed.py");
+    let output = match Command::new("python3").arg(script).arg(&file).output() {
+        Ok(output) => output,
+        Err(error) => return println!("skipped: no python3: {error}"),
+    };
+    print!("{}", String::from_utf8_lossy(&output.stdout));
+    assert!(matches!(output.status.code(), Some(0 | 77)), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_report_prints_everything() {
+    assert_prints_everything(&BUILT_IN.html(), 60);
+}
+
+#[test]
+fn a_page_of_a_suite_prints_everything() {
+    let suite = Suite::shipped("afgbv-cut-in").unwrap().unwrap();
+    let controllers = [NamedController::find("full-throttle", Path::new("")).unwrap()];
+    let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
+    let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
+    assert_prints_everything(&page, 1);
+}

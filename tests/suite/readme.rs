@@ -1,0 +1,177 @@
+//! Figures of README.md against their sources.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// A row of the table of figures.
+struct Row {
+    figure: String,
+    value: String,
+    command: String,
+}
+
+/// The source of the numbers in a row.
+enum Source {
+    /// Its command, which takes about a second; numbers follow these texts.
+    Printed(&'static [&'static str]),
+    /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
+    Report(&'static [(&'static str, &'static str)]),
+    /// Its command, which takes longer.
+    Slow(fn(&str) -> Vec<f64>),
+    /// A clock or the memory of a machine, so that no two runs agree.
+    Machine,
+}
+
+/// The source of each row, which begins with the text beside it.
+const SOURCES: [(&str, Source); 13] = [
+    ("contacts of the baseline", Source::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")])),
+    (
+        "contacts of `policy`",
+        Source::Report(&[
+            ("| no contact in 1000 draws of `paper` (seed 0) |", "tested: "),
+            ("| no contact in the paper's scenarios |", "tested: "),
+        ]),
+    ),
+    ("`train --preset fast", Source::Machine),
+    ("Chasing Cars", Source::Slow(chasing_cars)),
+    ("first contact", Source::Printed(&["COLLISION at "])),
+    ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
+    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
+    ("four problems", Source::Slow(known_probabilities)),
+    ("largest memory", Source::Machine),
+    (
+        "contacts with a leader",
+        Source::Slow(|printed| {
+            after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
+        }),
+    ),
+    ("one vehicle-step, baseline, lockstep engine, one core, true state", Source::Machine),
+    ("one vehicle-step, baseline, lockstep engine, one core, Kalman filter", Source::Machine),
+    ("two cores against one", Source::Machine),
+];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn rows() -> Vec<Row> {
+    let text = fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, table) = text.split_once("\n## Figures\n").unwrap();
+    let (table, _) = table.split_once("\n## ").unwrap();
+    let row = |line: &str| {
+        let [figure, value, command] = line.trim_matches(['|', ' ']).split(" | ").collect::<Vec<_>>()[..] else {
+            panic!("{line}")
+        };
+        Row { figure: figure.to_owned(), value: value.to_owned(), command: command.trim_matches('`').to_owned() }
+    };
+    table.lines().filter(|line| line.starts_with("| ")).skip(1).map(row).collect()
+}
+
+/// Returns the numbers of a text, in which a space may stand between groups of three digits.
+fn numbers(text: &str) -> Vec<f64> {
+    let is_digits = |word: &str| word.chars().all(|c| c.is_ascii_digit());
+    let mut found = Vec::new();
+    let mut group = String::new();
+    for word in text.split_whitespace() {
+        let bare = word.trim_matches(['[', ']', '(', ')', ',', ';', '.', '|', ':']);
+        let joined = if bare.len() == 3 && is_digits(bare) { format!("{group}{bare}") } else { bare.to_owned() };
+        let Ok(number) = joined.parse::<f64>() else {
+            group.clear();
+            continue;
+        };
+        if !group.is_empty() && joined.len() > bare.len() {
+            found.pop();
+        }
+        found.push(number);
+        group = if is_digits(word) { joined } else { String::new() };
+    }
+    found
+}
+
+/// Returns the number behind each occurrence of one of these texts, from left to right.
+fn after(text: &str, marks: &[&str]) -> Vec<f64> {
+    let mut places: Vec<usize> =
+        marks.iter().flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len())).collect();
+    places.sort_unstable();
+    places
+        .iter()
+        .filter_map(|&place| numbers(text[place..].lines().next()?.split([',', ')']).next()?).first().copied())
+        .collect()
+}
+
+/// Returns the largest distance from the truth in per cent, intervals that hold it, all intervals, and most runs.
+fn known_probabilities(printed: &str) -> Vec<f64> {
+    let lines = || printed.lines().filter(|line| line.contains(" by Splitting: "));
+    let ratios = lines().flat_map(|line| numbers(line.split_once("ratios ").unwrap().1));
+    let error_percent = ratios.map(|ratio| (100.0 * (ratio - 1.0).abs()).round()).fold(0.0, f64::max);
+    let field = |index: usize| lines().map(move |line| numbers(line.split(", ").nth(index).unwrap()));
+    let [held, all] = [0, 1].map(|index| field(2).map(|numbers| numbers[index]).sum());
+    vec![error_percent, held, all, field(3).map(|numbers| numbers[0]).fold(0.0, f64::max)]
+}
+
+/// Returns the mean number of evaluations of each problem by `auto`.
+fn chasing_cars(printed: &str) -> Vec<f64> {
+    let means =
+        printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
+    means.filter_map(|line| numbers(line).last().copied()).collect()
+}
+
+fn run(command: &str) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let folder = if command.contains("cargo ") { root() } else { folder.path() };
+    let output = Command::new("bash").args(["-c", command]).current_dir(folder).env("PATH", path).output().unwrap();
+    assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+fn source(row: &Row) -> &'static Source {
+    let mut found = SOURCES.iter().filter(|(figure, _)| row.figure.starts_with(figure));
+    let Some((_, source)) = found.next() else { panic!("no source of: {}", row.figure) };
+    assert!(found.next().is_none(), "two sources of: {}", row.figure);
+    source
+}
+
+#[test]
+fn figures_are_those_of_their_commands() {
+    let report = fs::read_to_string(root().join("reports/assessment.md")).unwrap();
+    let rows = rows();
+    assert_eq!(rows.len(), SOURCES.len());
+    for row in rows {
+        let printed = match source(&row) {
+            Source::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
+            Source::Report(places) => {
+                let number = |(row, mark): &(&str, &str)| {
+                    let row = report.lines().find(|line| line.starts_with(row))?;
+                    after(row, &[mark]).first().copied()
+                };
+                places.iter().filter_map(number).collect()
+            }
+            Source::Printed(_) | Source::Slow(_) | Source::Machine => continue,
+        };
+        assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
+    }
+}
+
+/// `cargo test --release --test suite -- --ignored figures_that_take_long`.
+#[cfg(unix)]
+#[test]
+#[ignore = "15 minutes"]
+fn figures_that_take_long_are_those_of_their_commands() {
+    for row in rows() {
+        if let Source::Slow(printed) = source(&row) {
+            assert_eq!(numbers(&row.value), printed(&run(&row.command)), "{} (`{}`)", row.figure, row.command);
+        }
+    }
+}
+
+#[test]
+fn numbers_of_a_text_are_found() {
+    assert_eq!(
+        numbers("5.51 s, CC1 2.9; 92 777 of paper-1, 100 %. 8.35 of 8.39 m, 0 and 90"),
+        [5.51, 2.9, 92777.0, 100.0, 8.35, 8.39, 0.0, 90.0]
+    );
+    assert_eq!(after("a 3 m, b 4\na 5.0", &["a ", "b "]), [3.0, 4.0, 5.0]);
+}
