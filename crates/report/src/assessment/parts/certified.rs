@@ -390,7 +390,7 @@ fn initial_states(
         content += &format!(" follower {law:?}");
     }
     let horizon_s = reach.step_s * f64::from(reach.steps);
-    let is_inside = |scenario: &Scenario| lies_within(certificate, scenario, policy);
+    let is_inside = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
     let built_in = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(is_inside);
     let inside =
         built_in.or_else(|| plan.traffic.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
