@@ -53,7 +53,7 @@ pub enum UnavailableController {
         /// Its name.
         name: String,
         /// The reason.
-        source: UnknownController,
+        source: Box<UnknownController>,
     },
     /// Its name stands for another controller here.
     #[error(
@@ -224,7 +224,7 @@ impl MergedSuite {
     pub fn controllers(&self, folder: &Path) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
         self.run.controllers.iter().map(move |(name, recorded)| {
             let found = NamedController::find(name, folder)
-                .map_err(|source| UnavailableController::NotFound { name: name.clone(), source })?;
+                .map_err(|source| UnavailableController::NotFound { name: name.clone(), source: Box::new(source) })?;
             match found.kind.identity() {
                 Some(identity) if identity == *recorded => Ok(NamedController { name: name.clone(), ..found }),
                 other => Err(UnavailableController::Other {
