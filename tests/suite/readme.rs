@@ -167,6 +167,29 @@ fn figures_that_take_long_are_those_of_their_commands() {
     }
 }
 
+/// The page of commands quotes rows of the built-in report.
+#[test]
+fn claims_that_the_documentation_quotes_are_those_of_the_report() {
+    let [page, report] =
+        ["docs/commands.md", "reports/assessment.md"].map(|name| fs::read_to_string(root().join(name)).unwrap());
+    let quoted = page
+        .lines()
+        .skip_while(|line| !line.starts_with("| claim |"))
+        .skip(2)
+        .take_while(|line| line.starts_with("| "));
+    let mut compared = 0;
+    for row in quoted {
+        let (claim, cells) = row.trim_start_matches("| ").split_once(" | ").unwrap();
+        if let Some(source) = report.lines().find(|line| line.starts_with(&format!("| {claim}"))) {
+            let there = numbers(source);
+            let missing = numbers(cells).into_iter().find(|number| !there.contains(number));
+            assert_eq!(missing, None, "{row}\n{source}");
+            compared += 1;
+        }
+    }
+    assert!(compared >= 4, "{compared} rows of docs/commands.md are in the report");
+}
+
 #[test]
 fn numbers_of_a_text_are_found() {
     assert_eq!(
