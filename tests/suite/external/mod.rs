@@ -82,6 +82,7 @@ const TABLE: &[(&str, &[&str], Expected)] = &[
     ("merge", &["exec-shard", "--out", "o", "--format", "json"], StartsNothing),
     ("fsck", &["campaign", "rate", "exec-shard"], StartsNothing),
     ("list", &[], StartsNothing),
+    ("show", &["driven.toml"], StartsNothing),
     ("describe", &["evil.toml"], StartsNothing),
     ("describe", &["evil.fmu"], StartsNothing),
     ("describe", &["evil.fmu", "--format", "json"], StartsNothing),
