@@ -135,7 +135,7 @@ impl TestedController {
     /// # Errors
     /// [`UnknownController`] if there is none.
     pub fn named(name: &str) -> Result<Self, UnknownController> {
-        let found = NamedController::find(name, Path::new(""))?;
+        let found = NamedController::find_for_user(name, Path::new(""))?;
         Ok(match found.kind {
             ControllerKind::BuiltIn(spec) => Self::BuiltIn(spec),
             _ => Self::Named(FoundController(found)),
