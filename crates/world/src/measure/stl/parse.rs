@@ -100,7 +100,8 @@ impl FromStr for Formula {
             }
         }
         let mut parser = Parser { tokens: &tokens, next: 0, depth: 0, operand_at: None };
-        let formula = parser.implies()?.formula()?;
+        let whole = parser.implies()?;
+        let formula = parser.formula(whole)?;
         parser.expect_end()?;
         Ok(formula)
     }
@@ -254,13 +255,13 @@ impl Parser<'_> {
     fn unary(&mut self) -> Result<Part, ParseError> {
         let column = self.peek().0;
         let formula = if self.take(Symbol::Not) {
-            Formula::Not(Box::new(self.operand()?.formula()?))
+            Formula::Not(Box::new(self.operand()?))
         } else if self.take(Symbol::Always) {
             let window = self.window()?;
-            Formula::Always(window, Box::new(self.operand()?.formula()?))
+            Formula::Always(window, Box::new(self.operand()?))
         } else if self.take(Symbol::Eventually) {
             let window = self.window()?;
-            Formula::Eventually(window, Box::new(self.operand()?.formula()?))
+            Formula::Eventually(window, Box::new(self.operand()?))
         } else {
             return self.comparison();
         };
@@ -268,9 +269,23 @@ impl Parser<'_> {
     }
 
     /// Parses the operand of a unary operator.
-    fn operand(&mut self) -> Result<Part, ParseError> {
+    fn operand(&mut self) -> Result<Formula, ParseError> {
         self.operand_at = Some(self.next);
-        self.nested(Self::unary)
+        let operand = self.nested(Self::unary)?;
+        self.formula(operand)
+    }
+
+    /// Returns the formula that has been parsed. A lone signal before another operand was meant as an operator.
+    fn formula(&self, part: Part) -> Result<Formula, ParseError> {
+        let precedes_operand = match self.peek().1 {
+            Token::Name(_) => true,
+            Token::Symbol(symbol) => symbol.begins_operand(),
+            Token::Number(_) | Token::End => false,
+        };
+        match part.meaning {
+            Meaning::Sum(..) if precedes_operand => self.expected_operator("an operator"),
+            _ => part.formula(),
+        }
     }
 
     fn nested(&mut self, inner: fn(&mut Self) -> Result<Part, ParseError>) -> Result<Part, ParseError> {
