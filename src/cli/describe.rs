@@ -254,7 +254,10 @@ impl Description {
     fn output(&self, own: &Output) -> String {
         let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
         let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
-        match self.answer_bounds.first() {
+        // The space of actions is wider than what the network reaches where it cuts the mean before tanh.
+        let actions = self.model.as_ref().and_then(|model| model.actions.first());
+        let actions = actions.map(|bounds| bounds.map(|bound| bound.map(f64::from)));
+        match actions.as_ref().or(self.answer_bounds.first()) {
             // Taken for accelerations.
             Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
                 format!("low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n")
@@ -263,7 +266,7 @@ impl Description {
                 let scale_mps2 = (most_mps2 - least_mps2) / (high - low);
                 let offset_mps2 = least_mps2 - scale_mps2 * low;
                 format!(
-                    "# The network ends in a function that limits its answers to {low:?} to {high:?}: scale_mps2 and offset_mps2 turn\n\
+                    "# The network itself limits its answers to {low:?} to {high:?}: scale_mps2 and offset_mps2 turn\n\
                      # them into m/s². No `squash`: that is for a tanh that training applied outside of the network.\n\
                      scale_mps2 = {scale_mps2:?} # a guess: all that a light vehicle can do\noffset_mps2 = {offset_mps2:?}\n{limits}"
                 )

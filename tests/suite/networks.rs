@@ -442,14 +442,17 @@ fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
         (text, [output.offset_mps2, output.scale_mps2])
     };
     for (name, bounds, expected) in [
-        ("reference.onnx", "-1.0 to 1.0", [-2.75, 4.75]),
-        ("tanh-33-17.onnx", "-1.0 to 1.0", [-2.75, 4.75]),
-        ("sac.zip", "-1.0 to 1.0", [-2.75, 4.75]),
+        ("reference.onnx", "-1.0 to 1.0", [-2.25, 5.25]),
+        ("tanh-33-17.onnx", "-1.0 to 1.0", [-2.25, 5.25]),
+        ("td3.zip", "-1.0 to 1.0", [-2.25, 5.25]),
+        ("sac-gsde.zip", "-1.0 to 1.0", [-2.25, 5.25]),
     ] {
         let (text, found) = drafted(name);
         assert_eq!(found, expected, "{name}");
         assert!(text.contains(&format!("limits its answers to {bounds}: ")), "{text}");
     }
+    // Its answers are accelerations already: from -7.5 to 3 m/s².
+    assert_eq!(drafted("sac.zip").1, [0.0, 1.0]);
     // Its answers have no bounds: the draft says what to do if training squashed them.
     let (text, found) = drafted("elu-7-5.onnx");
     assert_eq!(found, [0.0, 1.0]);

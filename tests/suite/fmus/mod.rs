@@ -294,7 +294,10 @@ fn damaged_fmus_are_refused() {
             model("<?xml version=\"1.0\" encoding=\"UTF-8\"?>", "<!DOCTYPE a [<!ENTITY b \"c\">]>"),
             "modelDescription.xml, line 1: has a document type declaration",
         ),
-        (model("</ModelVariables>", ""), "modelDescription.xml, line 29: expected `</ModelVariables>`"),
+        (
+            model("</ModelVariables>", ""),
+            "modelDescription.xml, line 29: ill-formed document: expected `</ModelVariables>`",
+        ),
         (big, "has more than 16777216 bytes"),
     ];
     for (xml, said) in described {

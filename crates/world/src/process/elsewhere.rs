@@ -27,6 +27,10 @@ impl Program {
         match *self {}
     }
 
+    pub(crate) fn part(self) -> Vec<String> {
+        match self {}
+    }
+
     pub(crate) fn end(self) -> Vec<String> {
         match self {}
     }

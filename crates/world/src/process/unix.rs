@@ -255,8 +255,14 @@ impl Program {
         let _ = self.child.wait();
     }
 
+    /// Lets it end by itself for a moment, and then ends it and all that it started. Returns what it said before.
+    pub(crate) fn part(mut self) -> Vec<String> {
+        self.hear_all();
+        self.last_words.lines()
+    }
+
     /// Waits for its end for a moment.
-    fn part(&mut self) {
+    fn wait_for_end(&mut self) {
         self.close_input();
         let end = Instant::now() + PARTING;
         while self.listen(false, end, PARTING).is_ok() {
@@ -268,7 +274,7 @@ impl Program {
 impl Drop for Program {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            self.part();
+            self.wait_for_end();
         }
         self.kill();
     }

@@ -394,7 +394,12 @@ impl ProcessController {
 
     /// What is told of a process that failed, which ends.
     fn failure(&self, problem: ProcessProblem, program: Option<Program>) -> ControllerFailure {
-        let last_words = program.map(Program::end).unwrap_or_default();
+        // A program that answers at all may end by itself, which gives the host of an FMU the time to remove its folder.
+        let last_words = match &problem {
+            ProcessProblem::Late { .. } | ProcessProblem::TooLong { .. } => program.map(Program::end),
+            _ => program.map(Program::part),
+        };
+        let last_words = last_words.unwrap_or_default();
         let command = || {
             let words: Vec<_> = self.setup.command.iter().map(|word| ShellWord(word).to_string()).collect();
             shortened(&words.join(" "))
