@@ -55,7 +55,7 @@ fn judged(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
     }
     // Version 1 is about numbers of its own, all of which the checker has looked at; only what it leaves out could mislead.
     let is_of_it = if certificate.is_old() {
-        let is_about = |scenario: &Scenario| lies_within(&certificate, scenario, policy);
+        let is_about = |scenario: &Scenario| lies_within(&certificate, scenario, policy).is_ok();
         !assumes_as_much(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
     } else {
         is_of_same_subject(&genuine.certificate, &certificate)

@@ -347,7 +347,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         let paper = built_in("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
         std::fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
         let said = crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
-        (code(&said), stdout(&said))
+        (code(&said), stdout(&said).to_owned())
     };
     let pieces = |accel_mps2: [f64; 3]| {
         Driver::Profile(LeadProfile::Pieces(Pieces { from_s: vec![1.0, 2.0, 3.0], accel_mps2: accel_mps2.to_vec() }))

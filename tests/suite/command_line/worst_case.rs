@@ -69,7 +69,7 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
         std::fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
         let said = crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
         assert_eq!(code(&said), 0, "{said:?}");
-        stdout(&crumple(folder.path(), &["check", name]))
+        stdout(&crumple(folder.path(), &["check", name])).to_owned()
     };
     let said = followed(3, "three.json");
     assert!(said.contains("  behind: 1 vehicle, not part of the claim\n"), "{said}");
