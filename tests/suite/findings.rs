@@ -35,7 +35,8 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
                 match file.rsplit_once('.') {
                     Some((_, "rs")) => assert!(is_test(&read(file), name), "{file} has no test {name}"),
                     Some((_, "v")) => assert!(
-                        read(file).contains(&format!("Theorem {name} ")) && proved.contains(&format!("proved: {name}\n")),
+                        read(file).contains(&format!("Theorem {name} "))
+                            && proved.contains(&format!("proved: {name}\n")),
                         "{file}: {name}"
                     ),
                     _ => panic!("{file} is neither a file of tests nor one of theorems"),

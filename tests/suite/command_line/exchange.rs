@@ -107,7 +107,10 @@ fn exports_are_two_files_a_scenario() {
         |more: &[&str]| crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
     let done = export(&["paper-1", "paper-2", "--controller", "idm"]);
     assert_eq!((code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
-    assert_eq!(names_in(&folder.path().join("x")), ["paper-1.xodr", "paper-1.xosc", "paper-2.xodr", "paper-2.xosc"]);
+    assert_eq!(
+        names_in(&folder.path().join("x")),
+        ["exported.sha256", "paper-1.xodr", "paper-1.xosc", "paper-2.xodr", "paper-2.xosc"]
+    );
     let read = || fs::read(folder.path().join("x/paper-1.xosc")).unwrap();
     let before = read();
     assert_eq!((code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");

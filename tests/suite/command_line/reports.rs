@@ -40,6 +40,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "counterexamples",
         "evidence",
         "replay.sh",
+        "report.sha256",
         "scenarios",
         "work.json",
     ];

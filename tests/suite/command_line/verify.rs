@@ -70,7 +70,7 @@ fn each_pair_of_classes_gets_a_certificate() {
     assert_eq!((code(&output), stderr(&output)), (0, ""));
     assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), pairs);
     let names = names_in(&folder.path().join("kernels"));
-    assert_eq!(names.len(), pairs);
+    assert_eq!(names.iter().filter(|name| name.ends_with(".json")).count(), pairs);
     let text = std::fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
@@ -255,7 +255,8 @@ fn what_is_verified_can_be_read_by_programs() {
         objects(&output)
     };
     let kernels = said(&["verify", "shield", "--out", "kernels", "--format", "json"]);
-    assert_eq!(kernels.len(), std::fs::read_dir(folder.path().join("kernels")).unwrap().count());
+    let names = names_in(&folder.path().join("kernels"));
+    assert_eq!(kernels.len(), names.iter().filter(|name| name.ends_with(".json")).count());
     for kernel in &kernels {
         assert_eq!(kernel["accepted"], true);
         let checked = &said(&["check", kernel["certificate"].as_str().unwrap(), "--format", "json"])[0];

@@ -117,7 +117,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         )
         .unwrap();
         fs::write(place.path().join("f.toml"), toml).unwrap();
-        NamedController::find("f.toml", place.path()).map_err(|error| error.to_string())
+        NamedController::find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
     };
     let wired = |quantity: &str, scale: &str, output: &str| {
         format!(
