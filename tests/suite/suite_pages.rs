@@ -170,9 +170,9 @@ fn suites_are_evidence_of_an_assessment() {
     assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);
     let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
     assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
-    assert!(matches!(row.standings[0].strength, Strength::Tested { runs } if runs == 34 + 496), "{row:?}");
+    assert!(matches!(row.standings[0].strength, Strength::Tested { runs } if runs == 64 + 496), "{row:?}");
     // Where tests fail, the points of the search are none of them.
-    assert_eq!(row.standings[1].strength, Strength::Refuted { failures: 34, runs: 34 });
+    assert_eq!(row.standings[1].strength, Strength::Refuted { failures: 64, runs: 64 });
     assert!(row.claims[2].is_none(), "the policy is not tested by it");
     let files = found.files().unwrap();
     let text = |name: &str| String::from_utf8(files.iter().find(|(file, _)| file == name).unwrap().1.clone()).unwrap();
