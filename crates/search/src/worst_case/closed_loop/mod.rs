@@ -15,16 +15,14 @@ use super::witness::{Escape, FoundBy};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
 
-/// Profiles from which ascents start.
-const STARTS: usize = 4;
+/// Profiles from which a search starts.
+const STARTS: usize = 5;
 /// Two starting profiles differ by at least this much on average, in m/s².
-const APART_MPS2: f64 = 0.7;
-/// Steps of each ascent at first, and of the best ones.
-const STEPS: [usize; 2] = [6, 24];
-/// Descents that go on.
-const FINALISTS: usize = 2;
-/// Rounds of random changes, and changes in each.
-const CHANGES: [usize; 2] = [8, 50];
+const APART_MPS2: f64 = 0.5;
+/// Cycles of a search: profiles that take part, rounds of random changes of each, and steps of the ascent of each.
+const CYCLES: [[usize; 3]; 3] = [[5, 6, 5], [3, 8, 8], [2, 12, 12]];
+/// Random changes in a round.
+const CHANGES: usize = 25;
 /// A margin that misses the bound by less than this is not improved, in metres.
 const NEAR_BOUND_M: f64 = 1e-3;
 
@@ -82,66 +80,62 @@ struct GapSearch<'s> {
 impl GapSearch<'_> {
     /// Returns candidates, the best one first.
     fn best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: Effort) -> Vec<SimulatedProfile> {
-        let mut tried = self.plant.try_out(shapes::shapes(&self.plant));
-        sort(&mut tried);
+        let mut shapes = self.plant.try_out(shapes::shapes(&self.plant));
+        sort(&mut shapes);
         let program = program_mps2.map(|each_step_mps2| self.plant.profile(each_step_mps2));
         let program = self.plant.try_out(program.into_iter().collect());
-        let mut starts = self.starts(&program, &tried);
-        if effort == Effort::Decide {
-            starts.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
-        }
-        let mut ascents: Vec<Ascent> = starts.into_iter().map(Ascent::new).collect();
-        for ascent in &mut ascents {
-            self.ascend(ascent, STEPS[0]);
-            if effort == Effort::Decide && ascent.at.margin_m > 0.0 {
-                break;
+        let mut best = self.starts(program, &shapes);
+        sort(&mut best);
+        for [profiles, rounds, steps] in CYCLES {
+            best.truncate(profiles);
+            for index in 0..best.len() {
+                let is_decided = effort == Effort::Decide && best.iter().any(|other| other.margin_m > 0.0);
+                if is_decided || best.iter().any(|other| other.margin_m >= self.enough_m) {
+                    break;
+                }
+                if let Some(at) = best.get_mut(index) {
+                    let changed = self.changed(at.clone(), rounds);
+                    *at = self.ascended(changed, steps);
+                }
             }
+            sort(&mut best);
         }
-        ascents.sort_by(|a, b| b.at.margin_m.total_cmp(&a.at.margin_m));
-        if effort == Effort::Optimise {
-            for ascent in ascents.iter_mut().take(FINALISTS) {
-                self.ascend(ascent, STEPS[1]);
-            }
-            ascents.sort_by(|a, b| b.at.margin_m.total_cmp(&a.at.margin_m));
-            if let Some(first) = ascents.first_mut() {
-                first.at = self.changed(first.at.clone());
-            }
-        }
-        ascents.into_iter().map(|ascent| ascent.at).collect()
+        best
     }
 
     /// The solution of the programs, and the best shapes that differ from each other.
-    fn starts(&self, program: &[SimulatedProfile], tried: &[SimulatedProfile]) -> Vec<SimulatedProfile> {
-        let mut starts: Vec<SimulatedProfile> = program.to_vec();
-        for candidate in tried {
+    fn starts(&self, program: Vec<SimulatedProfile>, shapes: &[SimulatedProfile]) -> Vec<SimulatedProfile> {
+        let mut starts = program;
+        for shape in shapes {
             if starts.len() == STARTS {
                 break;
             }
-            if starts.iter().all(|start| distance_mps2(&start.profile, &candidate.profile) > APART_MPS2) {
-                starts.push(candidate.clone());
+            if starts.iter().all(|start| distance_mps2(&start.profile, &shape.profile) > APART_MPS2) {
+                starts.push(shape.clone());
             }
         }
         starts
     }
 
-    fn ascend(&mut self, ascent: &mut Ascent, steps: usize) {
+    fn ascended(&mut self, from: SimulatedProfile, steps: usize) -> SimulatedProfile {
+        let mut ascent = Ascent::new(from);
         for _ in 0..steps {
             if ascent.is_over() || ascent.at.margin_m >= self.enough_m {
-                return;
+                break;
             }
             ascent.step(&mut self.plant, &mut self.stream);
         }
+        ascent.at
     }
 
-    /// The best of random changes, one after the other.
-    fn changed(&mut self, mut at: SimulatedProfile) -> SimulatedProfile {
-        for _ in 0..CHANGES[0] {
+    /// The best of random changes, round after round.
+    fn changed(&mut self, mut at: SimulatedProfile, rounds: usize) -> SimulatedProfile {
+        for _ in 0..rounds {
             if at.margin_m >= self.enough_m {
                 break;
             }
-            let changes: Vec<Profile> =
-                (0..CHANGES[1]).map(|_| shapes::perturbed(&self.plant, &at.profile, &mut self.stream)).collect();
-            let mut tried = self.plant.try_out(changes);
+            let changes = (0..CHANGES).map(|_| shapes::perturbed(&self.plant, &at.profile, &mut self.stream));
+            let mut tried = self.plant.try_out(changes.collect());
             sort(&mut tried);
             if let Some(better) = tried.into_iter().next().filter(|better| better.margin_m > at.margin_m) {
                 at = better;
