@@ -12,8 +12,8 @@ use super::output;
 use super::{Failure, choice, subject};
 use crumple_search::disk::Files;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, Escape, EscapeKind, Family, FoundBy, Ranges, Reason,
-    avoid_all, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, Family, FoundBy,
+    Optimality, Ranges, Reason, avoid_all, certify,
 };
 use crumple_world::quoted::Terminal;
 use crumple_world::scenario::{Scenario, file};
@@ -21,11 +21,14 @@ use crumple_world::scenario::{Scenario, file};
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
 #[derive(Args)]
 #[command(after_long_help = "\
-The vehicles under test may accelerate and brake as they like within their limits, knowing the future; the leader follows its \
-script and the vehicle behind them its latched emergency brake. `avoidable` comes with the accelerations that leave the \
-largest smallest gap of those held over steps of --grid, replayed without contact at the scenario's step and at a tenth of it: the \
-best found, for a finer grid may find more. That no driver keeps more than the bound has a certificate of its own. `unavoidable` comes with a proof \
+The vehicles under test may accelerate and brake as they like within their limits, knowing the future; all other vehicles keep \
+their drivers. `avoidable` comes with accelerations, held over steps of --grid, and their replay has no collision at the scenario's \
+step and at a tenth of it. Their smallest gap is the largest one found; a finer grid may find a larger one. That no driver keeps \
+more than the bound has a certificate of its own. `unavoidable` comes with a proof \
 about every possible driver, accepted by the checker behind `crumple check`. Everything else is `undecided`, with the reason.
+
+Convex programs model a scripted leader and a latched emergency brake behind. If another vehicle has another driver (idm, acc-aeb, a \
+policy), crumple simulates some thousands of profiles with that driver in the loop and shows the best one.
 
 A file of ranges makes a box of the scenario; `avoidable` then means that one profile is an escape from all of it:
   version = 1
@@ -53,8 +56,8 @@ pub(super) struct Avoid {
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     grid: Option<f64>,
-    /// Which escape to show; the verdict does not depend on it. Only the largest gap is optimal over all firings of the
-    /// brake behind
+    /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all firings of the
+    /// brake behind and has other drivers in the loop
     #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = choice::one_of(choice::ESCAPES))]
     escape: EscapeKind,
     /// Write what `crumple check` accepts: the escape or the proof; a file there is replaced
@@ -76,19 +79,25 @@ struct Report<'a> {
     escape_min_gap_m: Option<f64>,
     min_gap_bound_m: Option<f64>,
     min_gap_bound_is_certified: bool,
+    /// Reason why no driver keeps more: `bound` or `initial-gap`, or `best-found` if nothing shows it.
+    optimality: Option<&'static str>,
     trigger_time_s: Option<f64>,
+    /// Whether an emergency brake behind fires in the replay; none if some driver there is not known.
+    emergency_brake_fires: Option<bool>,
     effort_m2ps3: Option<f64>,
-    escape_is_best_for: Option<&'static str>,
-    /// `programs`, or `trial` where these do not model who drives.
+    escape_is_best_for: Option<String>,
+    /// `programs`, or `closed-loop` if the programs do not model every driver.
     escape_found_by: Option<&'static str>,
     programs: usize,
+    /// Profiles simulated with every other driver in the loop.
+    simulations: usize,
     reason: Option<&'a Reason>,
 }
 
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
-        let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true };
+        let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true, ..AvoidOptions::default() };
         let avoidance = avoid_all(&family, options).map_err(|error| match error {
             AvoidError::Grid { .. } => Failure::Input(format!("--grid: {error}")),
             other => Failure::Input(format!("{}: {other}", self.scenario)),
@@ -141,16 +150,27 @@ impl Avoid {
             escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
             min_gap_bound_m: avoidance.min_gap_bound_m,
             min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
-            trigger_time_s: escape.and_then(|escape| escape.trigger_time_s),
+            optimality: escape.map(|_| avoidance.optimality.name()),
+            trigger_time_s: escape.and_then(Escape::trigger_time_s),
+            emergency_brake_fires: escape.and_then(|escape| match escape.emergency_brake {
+                EmergencyBrake::Fires { .. } => Some(true),
+                EmergencyBrake::Silent => Some(false),
+                _ => None,
+            }),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
             escape_is_best_for: escape.map(|escape| match escape.found_by {
-                FoundBy::Programs => self.escape.is_best_for(),
-                FoundBy::Trial => {
-                    "the largest smallest gap of the scripts tried, for the programs do not model who drives"
-                }
+                FoundBy::Programs => self.escape.is_best_for().to_owned(),
+                FoundBy::ClosedLoop { simulations } => format!(
+                    "the largest smallest gap with the drivers of all other vehicles in the loop, best of {simulations} \
+                     simulated profiles"
+                ),
             }),
             escape_found_by: escape.map(|escape| escape.found_by.name()),
             programs: avoidance.programs,
+            simulations: escape.map_or(0, |escape| match escape.found_by {
+                FoundBy::Programs => 0,
+                FoundBy::ClosedLoop { simulations } => simulations,
+            }),
             reason,
         }
     }
@@ -181,11 +201,18 @@ fn stage(path: &Path, certificate: Result<Certificate, String>, files: &mut File
 }
 
 fn describe(report: &Report<'_>) -> String {
-    let Report { scenario, verdict, escape_min_gap_m, min_gap_bound_m, trigger_time_s, programs, reason, .. } = report;
+    let Report { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
     let mut text = format!("{}: {verdict}\n", Terminal(scenario));
     // Writing to a string cannot fail.
     if let Some(gap_m) = escape_min_gap_m {
-        let _ = writeln!(text, "  smallest gap of the escape {:.2} m", (100.0 * gap_m).floor() / 100.0);
+        let is_largest = report.best_min_gap_m == Some(*gap_m);
+        let optimality = match report.optimality {
+            _ if !is_largest => "",
+            Some(name) if name == Optimality::BestFound.name() => ", best found",
+            Some(name) if name == Optimality::InitialGap.name() => ", optimal: that of the start",
+            _ => ", optimal: that of the bound",
+        };
+        let _ = writeln!(text, "  smallest gap of the escape {:.2} m{optimality}", (100.0 * gap_m).floor() / 100.0);
     }
     if let Some(bound_m) = min_gap_bound_m {
         let _ = writeln!(
@@ -195,16 +222,14 @@ fn describe(report: &Report<'_>) -> String {
             if report.min_gap_bound_is_certified { "proved" } else { "by a computed bound without a certificate" }
         );
     }
-    match (trigger_time_s, report.escape_found_by) {
+    match (report.trigger_time_s, report.emergency_brake_fires) {
         (Some(time_s), _) => {
             let _ = writeln!(text, "  the follower's emergency brake fires at {time_s:.2} s");
         }
-        (None, Some(found_by)) if found_by == FoundBy::Programs.name() => {
-            text.push_str("  no emergency brake behind fires\n")
-        }
-        _ => {}
+        (None, Some(false)) => text.push_str("  no emergency brake behind fires\n"),
+        (None, _) => {}
     }
-    if let (Some(best_for), Some(effort)) = (report.escape_is_best_for, report.effort_m2ps3) {
+    if let (Some(best_for), Some(effort)) = (&report.escape_is_best_for, report.effort_m2ps3) {
         let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
     }
     if let Some(reason) = reason {

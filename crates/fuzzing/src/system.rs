@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crumple_search::worst_case::{AvoidOptions, Avoidance, avoid};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, Effort, avoid};
 use crumple_world::control::{ControllerSpec, ShieldSettings};
 use crumple_world::measure::ContactRole;
 use crumple_world::measure::stl::{Formula, MonitorError, Signals};
@@ -52,7 +52,7 @@ pub trait System {
 
     /// What the best driver could have done in a scenario; none if that cannot be asked of it.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
-        avoid(scenario, AvoidOptions::default()).ok()
+        avoid(scenario, AvoidOptions { effort: Effort::Decide, ..AvoidOptions::default() }).ok()
     }
 
     /// A scenario written to a file and read again.

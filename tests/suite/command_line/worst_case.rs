@@ -77,6 +77,30 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
     assert!(said.contains("  behind: no vehicle\n"), "{said}");
 }
 
+/// The follower of issue 49, whose brake fired in the replay of an escape that was said to leave it alone.
+#[test]
+fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
+    let folder = folder();
+    let scenario = include_str!("../worst_case/escapes/acc-aeb-fires.toml");
+    std::fs::write(folder.path().join("law.toml"), scenario).unwrap();
+    let run = |arguments: &[&str]| crumple(folder.path(), &[&["avoid", "law.toml"], arguments].concat());
+    let report = objects(&run(&["--format", "json", "--out", "escape.toml"])).remove(0);
+    assert_eq!((&report["escape_found_by"], &report["optimality"]), (&"closed-loop".into(), &"best-found".into()));
+    let simulations = report["simulations"].as_u64().expect("a number");
+    let optimised = report["escape_is_best_for"].as_str().expect("words");
+    assert!(optimised.ends_with(&format!("in the loop, best of {simulations} simulated profiles")), "{optimised}");
+    assert_eq!(report["emergency_brake_fires"], !report["trigger_time_s"].is_null());
+    let words = run(&[]);
+    assert_eq!(
+        stdout(&words).contains("no emergency brake behind fires"),
+        report["emergency_brake_fires"] == false,
+        "{}",
+        stdout(&words)
+    );
+    assert!(stdout(&words).contains(" m, best found\n") && stdout(&words).contains(optimised), "{}", stdout(&words));
+    assert_eq!(code(&crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0);
+}
+
 #[test]
 fn a_range_that_is_none_is_refused_with_line_and_field() {
     let folder = folder();
@@ -121,6 +145,11 @@ fn a_worst_case_is_written_and_collides() {
     assert_eq!(code(&found), 0);
     let report = objects(&found).remove(0);
     assert_eq!((&report["found"], &report["method"]), (&true.into(), &"sequential".into()));
+    assert_eq!(report["optimality"], "best-found");
+    let words = crumple(folder.path(), &["worst-case", "paper-1", "--controller", "idm", "--budget", "500"]);
+    assert!(stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"), "{}", stdout(&words));
+    let exact = ["worst-case", "paper-1", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
+    assert_eq!(objects(&crumple(folder.path(), &exact)).remove(0)["optimality"], "exact-on-grid");
     let replayed = crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
     assert_eq!(code(&replayed), 0);
 }

@@ -4,6 +4,7 @@ mod attacks;
 #[allow(unreachable_pub, reason = "shared with the tests of the checker")]
 #[path = "../../../verify/tests/suite/support/mutants.rs"]
 mod mutants;
+mod opponent;
 mod scenes;
 
 use crumple_search::worst_case::{
@@ -64,7 +65,7 @@ fn the_papers_collisions_were_avoidable() {
         assert!(avoidance.bound_certificate.is_some(), "{name}");
         assert!(avoidance.min_gap_bound_m.unwrap() >= escape.min_gap_m, "{name}");
         assert!(avoidance.min_gap_bound_m.unwrap() < gap_m + 0.6, "{name}: {avoidance:?}");
-        let fired_s = escape.trigger_time_s.expect("the gap is worth braking for");
+        let fired_s = escape.trigger_time_s().expect("the gap is worth braking for");
         assert!(trigger_s.is_none_or(|expected: f64| (fired_s - expected).abs() < 0.2), "{name}: {fired_s} s");
         let text = file::to_toml(&escape.scenario).unwrap();
         let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();

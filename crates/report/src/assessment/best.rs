@@ -46,7 +46,7 @@ impl Best {
                 min_gap_m: Rounded::down(escape.min_gap_m),
                 min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
                 min_gap_bound_is_certified: bound_certificate.is_some(),
-                follower_brakes_s: escape.trigger_time_s.map(Rounded::new),
+                follower_brakes_s: escape.trigger_time_s().map(Rounded::new),
             },
             AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
             AvoidanceVerdict::Undecided(reason) => Self::Undecided { reason: reason.to_string() },

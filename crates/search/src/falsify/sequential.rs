@@ -13,7 +13,7 @@ use crumple_world::random::{Purpose, Stream, stream};
 
 /// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
 /// the ranges.
-const PACE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02], idle: None };
+const PACE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02] };
 
 /// A descent over the script of the leader, its circumstances held; then over everything.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ impl LeadDescent {
 
     fn over(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
         let at = coordinates.iter().filter_map(|&coordinate| point.get(coordinate).copied()).collect();
-        let descent = Descent::new(Limits { low: 0.0, high: 1.0, ramp: None }, PACE, at, robustness);
+        let descent = Descent::new(Limits { low: 0.0, high: 1.0 }, PACE, at, robustness);
         Self { point, coordinates, descent, is_joint }
     }
 

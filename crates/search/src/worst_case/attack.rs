@@ -68,8 +68,19 @@ pub enum AttackMethod {
     /// By the same enumeration, which knows neither noise nor a filter, and then braking somewhat more until it collides: near
     /// the least, and not shown to be it.
     Widened,
-    /// By sequential convex programming: a local optimum.
+    /// By simulating pulses and ramps, and by sequential convex programming from the best of them: the best found.
     Sequential,
+}
+
+impl AttackMethod {
+    /// Returns the sense in which the result is the best, as results name it: `exact-on-grid` or `best-found`.
+    #[must_use]
+    pub fn optimality(self) -> &'static str {
+        match self {
+            Self::Exact => "exact-on-grid",
+            Self::Widened | Self::Sequential => "best-found",
+        }
+    }
 }
 
 /// A braking profile and what it does, replayed.
@@ -168,7 +179,8 @@ pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
 /// Looks for a braking profile of the leader, with at most about `budget` simulations.
 ///
 /// Exact for the baseline, whatever the vehicles behind it are, as long as the first vehicle under test answers without lag
-/// and noise and the enumeration stays within some 1500 programs; sequential convex programming for every other controller. None if no collision was found.
+/// and noise and the enumeration stays within some 1500 programs. For every other controller it is the best of pulses, ramps and
+/// steps of sequential convex programming from them. None if no collision was found.
 ///
 /// # Errors
 /// [`AttackError`] if there is nothing to vary or the run does not fit the scenario.
@@ -368,5 +380,14 @@ impl Trial {
 
     pub(super) fn collides(&self) -> bool {
         !self.outcome.is_safe()
+    }
+
+    /// When a contact or a controller's failure ends the run, in seconds.
+    pub(super) fn ends_s(&self) -> Option<f64> {
+        match &self.outcome {
+            Outcome::NoCollision => None,
+            Outcome::Collision(contact) => Some(contact.time_s),
+            Outcome::ControllerFailed(failed) => Some(failed.time_s),
+        }
     }
 }

@@ -4,12 +4,12 @@ use crumple_verify::{Accepted, Certificate, Statement};
 
 use super::branches::Search;
 use super::certificate;
+use super::closed_loop::{self, Effort};
 use super::family::Family;
 use super::program::{Grid, Objective};
 use super::reason::Reason;
 use super::situation::Situation;
-use super::trial;
-use super::witness::Escape;
+use super::witness::{Escape, each_step_mps2};
 use crumple_world::scenario::{Scenario, whole_multiple};
 
 /// How to search for an escape.
@@ -22,6 +22,8 @@ pub struct AvoidOptions {
     pub escape: EscapeKind,
     /// Whether to write down, where there is an escape, why nobody keeps more than the bound.
     pub certify_bound: bool,
+    /// Extent of the simulations if the programs do not model every driver.
+    pub effort: Effort,
 }
 
 /// Which of all escapes is shown.
@@ -45,9 +47,11 @@ impl EscapeKind {
     pub fn is_best_for(self) -> &'static str {
         match self {
             Self::LargestGap => "the largest smallest gap found on this grid, whenever the brake behind fires",
-            Self::Gentlest => "the gentlest that keeps half the largest gap, for this firing of the brake behind only",
+            Self::Gentlest => {
+                "the gentlest of the programs that keeps half of their largest gap, for one firing of a latched brake behind"
+            }
             Self::LeastJerk => {
-                "the smoothest that keeps half the largest gap, for this firing of the brake behind only"
+                "the smoothest of the programs that keeps half of their largest gap, for one firing of a latched brake behind"
             }
         }
     }
@@ -99,6 +103,32 @@ pub struct Avoidance {
     pub bound_certificate: Option<Box<Certificate>>,
     /// Convex programs solved.
     pub programs: usize,
+    /// Reason why no profile can keep a larger smallest gap, if there is one.
+    pub optimality: Optimality,
+}
+
+/// Reason why no profile can keep a larger smallest gap than the best one found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Optimality {
+    /// Nothing shows it.
+    BestFound,
+    /// The gap is within a centimetre of [`Avoidance::min_gap_bound_m`].
+    Bound,
+    /// The gap is within a centimetre of the smallest one at the start.
+    InitialGap,
+}
+
+impl Optimality {
+    /// Returns the name used in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BestFound => "best-found",
+            Self::Bound => "bound",
+            Self::InitialGap => "initial-gap",
+        }
+    }
 }
 
 /// Whether any driver could have avoided the collision.
@@ -164,52 +194,114 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
 pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let mut found = solved(family, options)?;
-    if let AvoidanceVerdict::Undecided(reason) = &found.verdict
-        && family.is_point()
-        && reason.is_not_modelled()
-        && let Some(escape) = trial::escape(family.centre())
-    {
-        found.best_min_gap_m = Some(escape.min_gap_m);
-        found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
+    let Solved { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solved(family, options)?;
+    let is_open = match &found.verdict {
+        AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == Effort::Optimise,
+        AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
+        AvoidanceVerdict::Unavoidable(_) => false,
+    };
+    if is_open && family.is_point() {
+        let (cells, first) = cells(family.centre(), options)?;
+        let cell = cells.get(first).copied().unwrap_or(1);
+        let escape = closed_loop::largest_gap(family.centre(), cell, profile_mps2.as_deref(), bound_m, options.effort);
+        let before_m = found.best_min_gap_m.unwrap_or(0.0);
+        if let Some(mut escape) = escape {
+            found.best_min_gap_m = Some(escape.min_gap_m.max(before_m));
+            if let AvoidanceVerdict::Avoidable(program) = found.verdict {
+                if options.escape != EscapeKind::LargestGap && 2.0 * program.min_gap_m >= escape.min_gap_m {
+                    escape = *program;
+                } else if program.min_gap_m >= escape.min_gap_m {
+                    escape = Escape { found_by: escape.found_by, ..*program };
+                }
+            }
+            found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
+        }
     }
+    if found.verdict.escape().is_none() {
+        found.bound_certificate = None;
+    }
+    found.optimality = optimality(family, &found);
     Ok(found)
 }
 
-/// What the programs say.
-fn solved(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+/// Gaps that differ by less count as equal, in metres.
+const EQUAL_M: f64 = 0.01;
+
+fn optimality(family: &Family, found: &Avoidance) -> Optimality {
+    let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - EQUAL_M);
+    if found.min_gap_bound_m.is_some_and(reaches) {
+        Optimality::Bound
+    } else if family.is_point() && reaches(closed_loop::initial_gap_m(family.centre())) {
+        Optimality::InitialGap
+    } else {
+        Optimality::BestFound
+    }
+}
+
+/// Result of the programs.
+struct Solved {
+    avoidance: Avoidance,
+    /// The best profile of the programs, one acceleration a step.
+    profile_mps2: Option<Vec<Vec<f64>>>,
+    /// No profile keeps a larger smallest gap, in metres.
+    bound_m: f64,
+    /// Whether the programs model every driver.
+    is_modelled: bool,
+}
+
+/// Solves the programs.
+fn solved(family: &Family, options: AvoidOptions) -> Result<Solved, AvoidError> {
     let (cells, first) = cells(family.centre(), options)?;
     check_size(family.centre())?;
     let situation = match Situation::new(family) {
         Ok(situation) => situation,
         Err(reason) => {
-            let verdict = AvoidanceVerdict::Undecided(reason);
-            return Ok(Avoidance {
-                verdict,
+            let avoidance = Avoidance {
+                verdict: AvoidanceVerdict::Undecided(reason),
                 best_min_gap_m: None,
                 min_gap_bound_m: None,
                 bound_certificate: None,
                 programs: 0,
-            });
+                optimality: Optimality::BestFound,
+            };
+            return Ok(Solved { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
         }
     };
     let mut search = Search::new(&situation);
+    let avoidance = explored(family, &situation, &mut search, options, &cells, first);
+    Ok(Solved {
+        // Noise may carry a vehicle beyond a bound that was computed without it.
+        bound_m: if situation.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
+        profile_mps2: search.best.as_ref().map(|best| each_step_mps2(&situation, best)),
+        is_modelled: !situation.escape_caveat.as_ref().is_some_and(Reason::is_not_modelled),
+        avoidance,
+    })
+}
+
+fn explored(
+    family: &Family,
+    situation: &Situation,
+    search: &mut Search<'_>,
+    options: AvoidOptions,
+    cells: &[usize],
+    first: usize,
+) -> Avoidance {
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
         let (most, open_ends) = if is_last { (MOST_FINE, MOST_OPEN_ENDS) } else { (MOST_COARSE, MOST_COARSE) };
-        search.explore(&Grid::new(&situation, cell), most, open_ends);
+        search.explore(&Grid::new(situation, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
-        undecided = match conclude(family, &situation, &search, options.escape) {
-            Ok(conclusion) => return Ok(found(family, &situation, &search, options, conclusion)),
+        undecided = match conclude(family, situation, search, options.escape) {
+            Ok(conclusion) => return found(family, situation, search, options, conclusion),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
-    Ok(found(family, &situation, &search, options, (AvoidanceVerdict::Undecided(reason), None)))
+    found(family, situation, search, options, (AvoidanceVerdict::Undecided(reason), None))
 }
 
 /// Whether the programs are ones that can be solved in a minute or two.
@@ -236,7 +328,12 @@ fn found(
     // Noise may carry a vehicle beyond what was computed without it.
     let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
     let computed_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
-    let is_wanted = options.certify_bound && verdict.escape().is_some() && situation.proof_caveat.is_none();
+    let may_escape = match &verdict {
+        AvoidanceVerdict::Avoidable(_) => true,
+        AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
+        AvoidanceVerdict::Unavoidable(_) => false,
+    };
+    let is_wanted = options.certify_bound && may_escape && situation.proof_caveat.is_none();
     let certified = computed_m.filter(|_| is_wanted).and_then(|bound_m| certified(family, situation, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
@@ -245,6 +342,7 @@ fn found(
         min_gap_bound_m: certified_m.or(computed_m),
         bound_certificate,
         programs: search.programs,
+        optimality: Optimality::BestFound,
     }
 }
 

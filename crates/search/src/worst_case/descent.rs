@@ -12,8 +12,6 @@ pub(crate) struct Limits {
     pub(crate) low: f64,
     /// The most of each.
     pub(crate) high: f64,
-    /// Most change from zero to the first and from each to the next; none where they have nothing to do with each other.
-    pub(crate) ramp: Option<[f64; 2]>,
 }
 
 /// How a descent goes.
@@ -23,8 +21,6 @@ pub(crate) struct Pace {
     pub(crate) nudge: f64,
     /// The trust region at first, and where the descent gives up.
     pub(crate) region: [f64; 2],
-    /// Where variables go that do not matter; none to leave them where they are.
-    pub(crate) idle: Option<f64>,
 }
 
 /// Growth of the trust region after a step that was a success, and after one that was not.
@@ -40,26 +36,7 @@ impl Limits {
         for (index, &now) in at.iter().enumerate() {
             cone.at_most(&[(index, 1.0)], (now + region).min(self.high));
             cone.at_most(&[(index, -1.0)], (region - now).min(-self.low));
-            if let Some([first, next]) = self.ramp {
-                let from_zero = index == 0;
-                let ramp = if from_zero { first } else { next };
-                let change = if from_zero { vec![(0, 1.0)] } else { vec![(index, 1.0), (index - 1, -1.0)] };
-                let back: Vec<_> = change.iter().map(|&(i, c)| (i, -c)).collect();
-                cone.at_most(&change, ramp);
-                cone.at_most(&back, ramp);
-            }
         }
-    }
-
-    /// Values as near to those wanted as their ramp allows, one after the other.
-    pub(super) fn ramped(&self, wanted: impl Iterator<Item = f64>) -> Vec<f64> {
-        let Some([first, next]) = self.ramp else { return wanted.collect() };
-        let follow = |before: &mut Option<f64>, wanted: f64| {
-            let (from, most) = before.map_or((0.0, first), |before| (before, next));
-            *before = Some(wanted.clamp(from - most, from + most));
-            *before
-        };
-        wanted.scan(None, follow).collect()
     }
 
     /// The first variables of a solution; none if there is no solution.
@@ -161,9 +138,8 @@ impl Descent {
         self.limits.rows(&mut cone, &self.at, self.region);
         for ((index, &now), &slope) in self.at.iter().enumerate().zip(slope) {
             // w (x - c)² = w x² - 2 w c x + constant.
-            let idle = self.pace.idle.unwrap_or(now);
             cone.square(&[(index, 1.0)], IDLE_WEIGHT);
-            cone.cost(index, slope - 2.0 * IDLE_WEIGHT * idle);
+            cone.cost(index, slope - 2.0 * IDLE_WEIGHT * now);
         }
         self.limits.solution(&cone, self.at.len()).filter(|next| *next != self.at)
     }
@@ -177,8 +153,8 @@ mod tests {
     fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
         // Lowest at (0.2, 0.9); the third variable has no say and stays.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
-        let limits = Limits { low: 0.0, high: 0.9, ramp: None };
-        let pace = Pace { nudge: 1e-3, region: [0.25, 1e-4], idle: None };
+        let limits = Limits { low: 0.0, high: 0.9 };
+        let pace = Pace { nudge: 1e-3, region: [0.25, 1e-4] };
         let start = vec![0.6, 0.1, 0.3];
         let first = value(&start);
         let mut descent = Descent::new(limits, pace, start, first);
@@ -196,8 +172,8 @@ mod tests {
 
     #[test]
     fn what_cannot_be_compared_ends_it() {
-        let limits = Limits { low: 0.0, high: 1.0, ramp: Some([0.5, 0.5]) };
-        let pace = Pace { nudge: 0.01, region: [0.25, 0.01], idle: Some(0.0) };
+        let limits = Limits { low: 0.0, high: 1.0 };
+        let pace = Pace { nudge: 0.01, region: [0.25, 0.01] };
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut descent = Descent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);

@@ -5,15 +5,17 @@
 //! at which that brake may fire the question is a linear program (`program`), and few of them have to be solved, since the
 //! multipliers of one bound all others (`multipliers`, `branches`). [`avoid()`] ends in one of three verdicts:
 //!
-//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`), found by the
-//!   programs, or by trying scripts where they do not model who drives behind or enters the lane (`trial`);
+//! - *avoidable*, with a profile that the ordinary simulation replays without contact at two step sizes (`witness`). The
+//!   programs find it, or simulations with every other driver in the loop if the programs do not model all of them
+//!   (`closed_loop`);
 //! - *unavoidable*, with multipliers that prove it about every driver and in continuous time, accepted by
 //!   `crumple_verify::check` (`certificate`);
 //! - *undecided*, with the [`Reason`].
 //!
 //! **How little does it take?** [`attack()`] looks for the mildest braking of the leader that makes a controller collide, or
 //! the severest impact: exactly for the baseline, whose motion is known once it is known when it fires (`exact`), by
-//! sequential convex programming for every other controller (`sequential`). What it returns has been simulated.
+//! simulating pulses and ramps and by sequential convex programming from the best of them for every other controller
+//! (`pulses`, `sequential`). What it returns has been simulated, and only the exact method shows that nothing milder exists.
 //!
 //! Nothing a solver says is believed: a profile is replayed, and multipliers prove what they prove.
 
@@ -21,18 +23,21 @@ mod attack;
 mod avoid;
 mod branches;
 mod certificate;
+mod closed_loop;
 mod descent;
+mod emergency_brake;
+mod envelope_step;
 mod exact;
 mod family;
 mod lead;
 mod multipliers;
 mod program;
+mod pulses;
 mod reason;
 mod report;
 mod scripted;
 mod sequential;
 mod situation;
-mod trial;
 mod witness;
 
 pub use attack::{
@@ -40,12 +45,14 @@ pub use attack::{
     attack, hunt, hunt_until,
 };
 pub use avoid::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all,
-    certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, Optimality, avoid,
+    avoid_all, certify,
 };
 pub use certificate::is_about;
+pub use closed_loop::Effort;
 pub(crate) use certificate::{certificate_about, is_exactly};
 pub(crate) use descent::{Descent, Limits, Pace};
+pub use emergency_brake::EmergencyBrake;
 pub use family::{Family, FamilyError, FieldRange, Ranges};
 pub use reason::Reason;
 pub use report::AttackReport;

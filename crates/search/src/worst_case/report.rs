@@ -24,6 +24,9 @@ pub struct AttackReport {
     pub found: bool,
     /// How it was found; none where the controller gave no answer.
     pub method: Option<AttackMethod>,
+    /// `exact-on-grid` if nothing on the grid is better, `best-found` if nothing shows that; none where the controller gave no
+    /// answer.
+    pub optimality: Option<&'static str>,
     /// How the run with it ended.
     pub outcome: Option<Outcome>,
     /// ∫ a² of the leader's script, in m²/s³.
@@ -61,6 +64,7 @@ impl AttackReport {
             nondeterministic: !controller.kind.is_deterministic(),
             found: found.is_some(),
             method: answered.map(|attack| attack.method),
+            optimality: answered.map(|attack| attack.method.optimality()),
             outcome: found.map(|attack| attack.outcome.clone()),
             effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
             peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),

@@ -1,46 +1,60 @@
-//! Sequential convex programming against any controller, network included.
+//! Search against any controller, network included: pulses and ramps, then sequential convex programming.
 //!
-//! The leader's acceleration is linear between a few knots. The margin (smallest gap, or how deep an impact) is linearised
-//! along the rollout by finite differences, all in one batch; a convex program inside a trust region proposes a step, a
-//! rollout judges it, and the region shrinks or grows with how well the two agree. First down to a collision, then, along
-//! its boundary, to the mildest one; or on down to the severest.
+//! Pulses and ramps of several depths, lengths and onsets are simulated first ([`super::pulses`]). From the best few the
+//! search descends: the margin (smallest gap, or depth of an impact) is linearised along the rollout by finite differences,
+//! all in one batch, over changes that are linear between a few knots. A convex program inside a trust region proposes a
+//! step, and a rollout judges it. First down to a collision, then, along its boundary, to a mild one; or on down to a severe
+//! one. The result is the best profile found: nothing shows that no milder one exists.
 
-use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench};
-use super::descent::{Descent, Limits, Pace, REGION_FACTORS, slopes};
-use crumple_quadratic::QuadraticProgram;
+use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench, Trial};
+use super::descent::{REGION_FACTORS, slopes};
+use super::envelope_step::{Hats, EnvelopeStep, StepGoal};
+use super::pulses::{self, Pulse};
 
-/// Knots of a profile.
-const KNOTS: usize = 26;
 /// Change of a knot for a finite difference, in m/s².
 const NUDGE_MPS2: f64 = 0.05;
 /// The trust region at first, and where a search gives up, in m/s².
 const REGION_MPS2: [f64; 2] = [1.0, 0.01];
+/// Profiles from which descents start.
+const STARTS: usize = 3;
+/// Bisections of the depth of a pulse between one that collides and one that does not, and pulses that are bisected.
+const BISECTIONS: [usize; 2] = [6, 8];
+/// A step that lowers the cost, or the margin in metres, by less than this is a failure.
+const WORTH: f64 = 1e-4;
+/// Time after a contact that still belongs to the knots before it, in seconds.
+const AFTER_S: f64 = 0.3;
 
-/// A profile at its knots and what it does.
+/// A profile, one acceleration a cell, and its simulation.
 #[derive(Debug, Clone)]
-struct Point {
-    knots_mps2: Vec<f64>,
+pub(super) struct Point {
+    pub(super) cells_mps2: Vec<f64>,
     margin_m: f64,
     collides: bool,
+    /// When its run ends, in seconds.
+    until_s: f64,
 }
 
 /// The best profile found with about `budget` simulations; none if none collides.
 pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<Option<Attack>, AttackError> {
     let mut search = Search { bench, aim };
-    let Some(mut best) = search.start()? else { return Ok(None) };
-    if !best.collides || aim == Aim::Severest {
-        best = search.descend(best, budget)?;
+    let mut best: Option<(Point, f64)> = None;
+    let starts = search.starts(budget)?;
+    let count = starts.len();
+    for (index, start) in starts.into_iter().enumerate() {
+        // Each descent gets an equal share of the simulations that are left.
+        let spent = search.bench.evaluations;
+        let until = spent + budget.saturating_sub(spent) / (count - index);
+        let found = search.descend(start, until)?;
+        let is_better = |best: &Point, found: &Point| match aim {
+            Aim::Severest => found.margin_m < best.margin_m,
+            Aim::Mildest | Aim::LeastPeak => search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2),
+        };
+        if found.0.collides && best.as_ref().is_none_or(|(best, _)| is_better(best, &found.0)) {
+            best = Some(found);
+        }
     }
-    if !best.collides {
-        return Ok(None);
-    }
-    let mut predicted_m = best.margin_m;
-    if aim != Aim::Severest {
-        best = search.soften(best)?;
-        (best, predicted_m) = search.ease(best, budget)?;
-    }
-    let cells = search.cells(&best.knots_mps2);
-    Ok(Some(bench.report(&cells, predicted_m, AttackMethod::Sequential)?))
+    let Some((best, predicted_m)) = best else { return Ok(None) };
+    Ok(Some(search.bench.report(&best.cells_mps2, predicted_m, AttackMethod::Sequential)?))
 }
 
 struct Search<'s, 'a> {
@@ -49,155 +63,118 @@ struct Search<'s, 'a> {
 }
 
 impl Search<'_, '_> {
-    fn apart_s(&self) -> f64 {
-        self.bench.cells() as f64 * self.bench.cell_s() / (KNOTS - 1) as f64
-    }
-
-    /// The acceleration of each cell: that of the line between the knots at its middle.
-    fn cells(&self, knots_mps2: &[f64]) -> Vec<f64> {
-        let at = |cell: usize| {
-            let place = (cell as f64 + 0.5) * self.bench.cell_s() / self.apart_s();
-            let (left, share) = (place.floor() as usize, place.fract());
-            let knot = |index: usize| knots_mps2.get(index.min(KNOTS - 1)).copied().unwrap_or(0.0);
-            (knot(left) * (1.0 - share) + knot(left + 1) * share).clamp(-self.bench.envelope.max_brake_mps2, 0.0)
-        };
-        (0..self.bench.cells()).map(at).collect()
-    }
-
     fn try_out(&mut self, all: Vec<Vec<f64>>) -> Result<Vec<Point>, AttackError> {
-        let profiles: Vec<_> = all.iter().map(|knots| self.cells(knots)).collect();
-        let trials = self.bench.simulate(&profiles)?;
-        let point = |(knots_mps2, trial): (Vec<f64>, super::attack::Trial)| Point {
-            knots_mps2,
+        let trials = self.bench.simulate(&all)?;
+        let duration_s = self.bench.scenario.spec().duration_s;
+        let point = |(cells_mps2, trial): (Vec<f64>, Trial)| Point {
+            cells_mps2,
             margin_m: trial.margin_m,
             collides: trial.collides(),
+            until_s: trial.ends_s().unwrap_or(duration_s),
         };
         Ok(all.into_iter().zip(trials).map(point).collect())
     }
 
-    /// The worst of some plain brakings: several rates, onsets and lengths, built up and released as fast as the jerk allows.
-    fn start(&mut self) -> Result<Option<Point>, AttackError> {
-        let most = self.bench.envelope.max_brake_mps2;
-        let mut plain = Vec::new();
-        for rate in [1.0, 0.7, 0.4, 0.2] {
-            for onset in [0, KNOTS / 8, KNOTS / 4] {
-                for length in [KNOTS / 8, KNOTS / 3, KNOTS] {
-                    let inside = |knot: &usize| (onset..onset + length).contains(knot);
-                    let wanted = (0..KNOTS).map(|knot| if inside(&knot) { -rate * most } else { 0.0 });
-                    plain.push(self.limits().ramped(wanted));
-                }
+    /// Pulses and ramps from which descents start: the mildest that collide, or those with the smallest margins.
+    fn starts(&mut self, budget: usize) -> Result<Vec<Point>, AttackError> {
+        let pulses = pulses::scan(self.bench, budget);
+        let profiles: Vec<_> = pulses.iter().map(|pulse| pulse.cells_mps2(self.bench)).collect();
+        let tried = self.try_out(profiles)?;
+        let mut all: Vec<(Pulse, Point)> = pulses.into_iter().zip(tried).collect();
+        if self.aim == Aim::Severest || !all.iter().any(|(_, point)| point.collides) {
+            all.sort_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
+            return Ok(all.into_iter().map(|(_, point)| point).take(STARTS).collect());
+        }
+        all.retain(|(_, point)| point.collides);
+        all.sort_by(|(_, a), (_, b)| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
+        // One depth of each form, length and onset.
+        let mut mildest: Vec<(Pulse, Point)> = Vec::new();
+        for (pulse, point) in all {
+            if mildest.len() < BISECTIONS[1] && mildest.iter().all(|(other, _)| !other.differs_in_depth_only(&pulse)) {
+                mildest.push((pulse, point));
             }
         }
-        let tried = self.try_out(plain)?;
-        Ok(tried.into_iter().min_by(|a, b| a.margin_m.total_cmp(&b.margin_m)))
+        self.bisect(&mut mildest)?;
+        let mut points: Vec<Point> = mildest.into_iter().map(|(_, point)| self.trimmed(point)).collect();
+        points.sort_by(|a, b| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
+        points.truncate(STARTS);
+        Ok(points)
     }
 
-    /// Steps that lower the margin, until they no longer do.
-    fn descend(&mut self, mut at: Point, budget: usize) -> Result<Point, AttackError> {
-        let pace = Pace { nudge: NUDGE_MPS2, region: REGION_MPS2, idle: Some(0.0) };
-        let mut descent = Descent::new(self.limits(), pace, at.knots_mps2.clone(), at.margin_m);
-        while self.bench.evaluations < budget {
-            let asked = descent.ask();
-            if asked.is_empty() {
-                break;
-            }
-            self.bench.programs += usize::from(asked.len() == 1);
-            let tried = self.try_out(asked)?;
-            descent.tell(&tried.iter().map(|point| point.margin_m).collect::<Vec<_>>());
-            if let Some(next) = tried.into_iter().find(|point| point.knots_mps2 == descent.at()) {
-                let was_open = !at.collides;
-                at = next;
-                if was_open && at.collides && self.aim != Aim::Severest {
-                    return Ok(at);
-                }
+    /// Makes pulses that collide less deep, as long as they collide.
+    fn bisect(&mut self, pulses: &mut [(Pulse, Point)]) -> Result<(), AttackError> {
+        let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_mps2()).collect();
+        for _ in 0..BISECTIONS[0] {
+            let halfway = |((pulse, _), misses): (&(Pulse, Point), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
+            let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
+            let tried = self.try_out(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
+            for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried) {
+                if point.collides { *pulse = (half, point) } else { *misses_mps2 = half.depth_mps2 }
             }
         }
-        Ok(at)
+        Ok(())
     }
 
-    /// The mildest multiple of a colliding profile that still collides.
-    fn soften(&mut self, at: Point) -> Result<Point, AttackError> {
-        let scaled = |share: f64| at.knots_mps2.iter().map(|knot| knot * share).collect::<Vec<_>>();
-        let tried = self.try_out((1..32).map(|part| scaled(f64::from(part) / 32.0)).collect())?;
-        Ok(tried.into_iter().find(|point| point.collides).unwrap_or(at))
-    }
-
-    /// Steps that cost less and still collide, with what the last of them was predicted to do.
-    fn ease(&mut self, mut at: Point, budget: usize) -> Result<(Point, f64), AttackError> {
-        let mut region = REGION_MPS2[0];
+    /// Steps from one profile, until `until` simulations have been made or none improves it; with what the last program predicted.
+    fn descend(&mut self, mut at: Point, until: usize) -> Result<(Point, f64), AttackError> {
         let [success, failure] = REGION_FACTORS;
-        let mut predicted_m = at.margin_m;
-        let mut slope = self.slope(&at)?;
-        while region > REGION_MPS2[1] && self.bench.evaluations < budget {
+        let (mut region, mut predicted_m, mut phase) = (REGION_MPS2[0], at.margin_m, 0.0);
+        while region > REGION_MPS2[1] && self.bench.evaluations < until {
+            let wants_cost = at.collides && self.aim != Aim::Severest;
+            let hats = Hats::new(self.bench, at.until_s + AFTER_S, phase);
+            let slope = self.slope(&at, &hats)?;
             // Several depths beyond contact at once: the linear prediction is not exact.
-            let aims_m = [-1e-3, -0.05, -0.3, -1.0];
-            let steps: Vec<_> =
-                aims_m.iter().filter_map(|&m| Some((m, self.cheapest(&at, &slope, region, m)?))).collect();
-            let tried = self.try_out(steps.iter().map(|(_, knots)| knots.clone()).collect())?;
-            let cost = |point: &Point| self.cost(&point.knots_mps2);
-            let good =
-                tried.iter().zip(&steps).filter(|(point, _)| point.collides && cost(point) < cost(&at) * (1.0 - 1e-4));
-            let best = good.min_by(|(a, _), (b, _)| cost(a).total_cmp(&cost(b)));
-            match best.map(|(point, (aim_m, _))| (point.clone(), *aim_m)) {
-                Some((point, aim_m)) => {
-                    predicted_m = aim_m;
-                    at = point;
-                    region *= success;
-                    slope = self.slope(&at)?;
+            let goals: Vec<StepGoal> = match wants_cost {
+                true => [-1e-3, -0.05, -0.3, -1.0].map(|margin_m| StepGoal::Cost { aim: self.aim, margin_m }).into(),
+                false => vec![StepGoal::Margin],
+            };
+            let step = EnvelopeStep { from_mps2: &at.cells_mps2, margin_m: at.margin_m, slope: &slope, hats: &hats, region };
+            let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.towards(self.bench, goal)).collect();
+            let tried = self.try_out(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
+            let gain = |point: &Point| match wants_cost {
+                true if !point.collides => f64::NEG_INFINITY,
+                true => 1.0 - self.cost(&point.cells_mps2) / self.cost(&at.cells_mps2),
+                false => at.margin_m - point.margin_m,
+            };
+            let best = tried.into_iter().zip(steps).max_by(|(a, _), (b, _)| gain(a).total_cmp(&gain(b)));
+            match best.filter(|(point, _)| gain(point) > WORTH) {
+                Some((point, (_, predicted))) => {
+                    (at, predicted_m) = (self.trimmed(point), predicted);
+                    region = (region * success).min(REGION_MPS2[0]);
                 }
                 None => region *= failure,
             }
+            // The knots of the next round lie between those of this one.
+            phase = 0.5 - phase;
         }
         Ok((at, predicted_m))
     }
 
-    fn cost(&self, knots_mps2: &[f64]) -> f64 {
-        let cells = self.cells(knots_mps2);
+    /// The same profile, released as fast as the jerk allows once its run has ended.
+    fn trimmed(&self, mut point: Point) -> Point {
+        let (cell_s, most) = (self.bench.cell_s(), self.bench.envelope.jerk_mps3 * self.bench.cell_s());
+        let over = (point.until_s / cell_s).ceil() as usize;
+        let mut before = over.checked_sub(1).and_then(|last| point.cells_mps2.get(last)).copied().unwrap_or(0.0);
+        for held in point.cells_mps2.iter_mut().skip(over) {
+            *held = (before + most).min(0.0);
+            before = *held;
+        }
+        point
+    }
+
+    fn cost(&self, cells_mps2: &[f64]) -> f64 {
         match self.aim {
-            Aim::LeastPeak => cells.iter().fold(0.0, |most, a| most.max(-a)),
-            Aim::Mildest | Aim::Severest => cells.iter().map(|a| a * a * self.bench.cell_s()).sum(),
+            Aim::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            Aim::Mildest | Aim::Severest => cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum(),
         }
     }
 
     /// The change of the margin with each knot, in s².
-    fn slope(&mut self, at: &Point) -> Result<Vec<f64>, AttackError> {
-        let (by, nudged) = self.limits().nudged(&at.knots_mps2, NUDGE_MPS2);
+    fn slope(&mut self, at: &Point, hats: &Hats) -> Result<Vec<f64>, AttackError> {
+        let most = self.bench.envelope.max_brake_mps2;
+        let by: Vec<f64> = hats.means_mps2(&at.cells_mps2).map(|mean| if mean > -0.5 * most { -NUDGE_MPS2 } else { NUDGE_MPS2 }).collect();
+        let nudged = by.iter().enumerate().map(|(knot, &by)| hats.moved(&at.cells_mps2, knot, by, most)).collect();
         let margins_m: Vec<f64> = self.try_out(nudged)?.iter().map(|point| point.margin_m).collect();
         Ok(slopes(at.margin_m, &margins_m, &by))
-    }
-
-    fn limits(&self) -> Limits {
-        let envelope = self.bench.envelope;
-        // Half a cell before the middle of the first one.
-        let first = 0.5 * envelope.jerk_mps3 * self.bench.cell_s();
-        let next = envelope.jerk_mps3 * self.apart_s();
-        let ramp = Some([first, next]).filter(|_| first < envelope.max_brake_mps2);
-        Limits { low: -envelope.max_brake_mps2, high: 0.0, ramp }
-    }
-
-    /// The step inside the trust region that brings the linearised margin to `aim_m`, or near it, at the least cost.
-    fn cheapest(&mut self, at: &Point, slope: &[f64], region: f64, aim_m: f64) -> Option<Vec<f64>> {
-        self.bench.programs += 1;
-        // One variable a knot, its new value; the last ones are the peak and the shortfall of the aim.
-        let mut cone = QuadraticProgram::new(KNOTS + 2);
-        let (peak, short) = (KNOTS, KNOTS + 1);
-        let limits = self.limits();
-        limits.rows(&mut cone, &at.knots_mps2, region);
-        let here: f64 = slope.iter().zip(&at.knots_mps2).map(|(slope, now)| slope * now).sum();
-        let mut falls: Vec<_> = slope.iter().copied().enumerate().collect();
-        falls.push((short, -1.0));
-        cone.at_most(&falls, aim_m - at.margin_m + here);
-        cone.at_most(&[(short, -1.0)], 0.0);
-        cone.cost(short, 1e3);
-        let by_peak = self.aim == Aim::LeastPeak;
-        let weight = if by_peak { 1e-4 } else { self.apart_s() };
-        for knot in 0..KNOTS {
-            cone.at_most(&[(knot, -1.0), (peak, -1.0)], 0.0);
-            cone.square(&[(knot, 1.0)], weight);
-        }
-        if by_peak {
-            cone.cost(peak, 1.0);
-        }
-        limits.solution(&cone, KNOTS)
     }
 }

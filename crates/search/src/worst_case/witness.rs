@@ -1,35 +1,39 @@
 //! An escape as a scenario, and what the ordinary simulation says about it.
 
 use super::branches::FoundBranches;
+use super::emergency_brake::EmergencyBrake;
 use super::situation::Situation;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario, VehicleSpec};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
-/// How an escape was found. That it is one its replay says.
+/// Search that found an escape. The replay shows that it is one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FoundBy {
-    /// By convex programs, which know when the emergency brake behind fires.
+    /// Convex programs, which model every driver behind.
     Programs,
-    /// By trying scripts: the programs do not model who drives.
-    Trial,
+    /// Simulations with every other driver in the loop, because the programs do not model all of them.
+    ClosedLoop {
+        /// Simulations made.
+        simulations: usize,
+    },
 }
 
 impl FoundBy {
-    /// Its name in results.
+    /// Returns its name in results.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Programs => "programs",
-            Self::Trial => "trial",
+            Self::ClosedLoop { .. } => "closed-loop",
         }
     }
 
     fn in_words(self) -> &'static str {
         match self {
             Self::Programs => "by convex programming",
-            Self::Trial => "by trying scripts",
+            Self::ClosedLoop { .. } => "by simulation with the other drivers in the loop",
         }
     }
 }
@@ -43,8 +47,8 @@ pub struct Escape {
     pub min_gap_m: f64,
     /// How it was found.
     pub found_by: FoundBy,
-    /// When the emergency brake of the follower fires, in seconds; none if it never does, there is none, or no program knows of it.
-    pub trigger_time_s: Option<f64>,
+    /// Emergency brakes behind the vehicles under test, in the replay at the scenario's step.
+    pub emergency_brake: EmergencyBrake,
     /// Acceleration of each vehicle under test over each step, in m/s².
     pub acceleration_mps2: Vec<Vec<f64>>,
 }
@@ -52,19 +56,7 @@ pub struct Escape {
 impl Escape {
     /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
     pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &FoundBranches) -> Option<Self> {
-        let acceleration_mps2: Vec<Vec<f64>> =
-            found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect();
-        let (mut escape, coarse) = Self::of(scenario, 1, acceleration_mps2, FoundBy::Programs)?;
-        escape.trigger_time_s = situation.follower.as_ref().and_then(|follower| {
-            let trace = coarse.trace.as_ref()?;
-            let pairs = trace.pairs(situation.egos.len() + 1);
-            let pair = pairs.first()?;
-            let closing = pair.rear.speed_mps.iter().zip(&pair.front.speed_mps).map(|(rear, front)| rear - front);
-            let fires = pair.gaps_m().zip(closing).map(|((_, gap_m), closing)| gap_m - follower.ttc_s * closing < 0.0);
-            let step = fires.take(situation.steps).position(|fires| fires)?;
-            Some(situation.time_s(step))
-        });
-        Some(escape)
+        Self::of(scenario, 1, each_step_mps2(situation, found), FoundBy::Programs)
     }
 
     /// Replays accelerations of the vehicles under test, the first of which is `first`, at the scenario's step and at a tenth of it;
@@ -74,7 +66,8 @@ impl Escape {
         first: usize,
         acceleration_mps2: Vec<Vec<f64>>,
         found_by: FoundBy,
-    ) -> Option<(Self, Simulated)> {
+    ) -> Option<Self> {
+        let behind = first + acceleration_mps2.len();
         let acceleration_mps2: Vec<Vec<f64>> = (first..)
             .zip(acceleration_mps2)
             .map(|(index, each)| {
@@ -94,7 +87,17 @@ impl Escape {
         }
         let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
-        Some((Self { scenario: scripted, min_gap_m, found_by, trigger_time_s: None, acceleration_mps2 }, coarse))
+        let emergency_brake = EmergencyBrake::of(&scripted, behind, coarse.trace.as_ref()?);
+        Some(Self { scenario: scripted, min_gap_m, found_by, emergency_brake, acceleration_mps2 })
+    }
+
+    /// Returns when the first emergency brake behind fires, in seconds; none if none does.
+    #[must_use]
+    pub fn trigger_time_s(&self) -> Option<f64> {
+        match self.emergency_brake {
+            EmergencyBrake::Fires { time_s, .. } => Some(time_s),
+            EmergencyBrake::Silent | EmergencyBrake::Unknown => None,
+        }
     }
 
     /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
@@ -115,6 +118,11 @@ fn rounded(acceleration_mps2: f64) -> f64 {
 /// Runs of a scenario in which nobody is under test.
 pub(super) fn by_script() -> RunOptions {
     RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
+}
+
+/// Returns the acceleration of each vehicle under test in each step, in m/s².
+pub(super) fn each_step_mps2(situation: &Situation, found: &FoundBranches) -> Vec<Vec<f64>> {
+    found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect()
 }
 
 /// The acceleration of every step from that of every cell.

@@ -75,7 +75,7 @@ pub struct Mildest {
     pub predicted_margin_m: Option<Rounded<3>>,
     /// The margin that the simulation has, in metres; none where the controller gave no answer.
     pub margin_m: Option<Rounded<3>>,
-    /// Whether a milder one is ruled out on this grid, or it is a local optimum.
+    /// Search that found it, which decides if a milder one is ruled out on this grid.
     pub method: AttackMethod,
     /// The profile, for the figure.
     #[serde(skip)]
@@ -177,8 +177,9 @@ impl WorstProfiles {
         format!(
             "How little must the leader of {} brake for a controller to collide? Any braking up to {} m/s² that changes by at \
              most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search \
-             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter; against the others it is a local one along rollouts, so a milder \
-             braking may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
+             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter. Against the others it \
+             simulates pulses and ramps and improves the best of them along rollouts. That braking is the best found, and a milder \
+             one may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
              m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
              for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
             self.scenario, self.max_brake_mps2, self.max_jerk_mps3
@@ -198,8 +199,8 @@ impl WorstProfiles {
         let none = self.profiles.iter().filter(|profile| profile.mildest.is_none());
         none.map(|profile| {
             format!(
-                "{}: no braking was found that makes it collide, in {} simulations and {} convex programs. The search is a \
-                 local one: this is no proof that there is none.",
+                "{}: no braking was found that makes it collide, in {} simulations and {} convex programs. This is \
+                 no proof that there is none.",
                 profile.controller, profile.evaluations, profile.programs
             )
         })

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
+use crate::worst_case::{AvoidOptions, AvoidanceVerdict, Effort, avoid};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
@@ -65,7 +65,8 @@ impl Classed {
     /// Of a scenario that ends in contact.
     #[must_use]
     pub fn of_contact(scenario: &Scenario) -> Self {
-        let (avoidability, escape) = match avoid(scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict) {
+        let options = AvoidOptions { effort: Effort::Decide, ..AvoidOptions::default() };
+        let (avoidability, escape) = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 (Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m }, Some(escape.scenario))
             }

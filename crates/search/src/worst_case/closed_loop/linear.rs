@@ -1,0 +1,173 @@
+//! Sequential convex programming on the simulated closed loop.
+//!
+//! The gaps of all pairs at all samples are linearised by finite differences, one block of cells at a time. A linear
+//! program inside a trust region proposes a change of all blocks, and simulations of shares of it decide. The blocks lie
+//! elsewhere in each round, so a profile of cells of a tenth of a second needs few of them.
+
+use super::plant::{CellBlock, SimulatedProfile, SampledGaps, Plant, Profile};
+use crumple_quadratic::{QuadraticProgram, Solved};
+use crumple_world::random::Stream;
+use rand::RngExt;
+
+/// Blocks of all vehicles under test until the last small gap, and after it.
+const BLOCKS: [usize; 2] = [36, 3];
+/// The trust region at first, at most, and where an ascent ends, in m/s².
+const REGION_MPS2: [f64; 3] = [2.0, 6.0, 0.03];
+/// Growth of the trust region after a success and after a failure.
+const REGION_FACTORS: [f64; 2] = [1.6, 0.45];
+/// Shares of a step that are tried.
+const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
+/// A gap that is larger than the smallest one by less than this is one to keep an eye on, in metres.
+const NEAR_M: f64 = 1.0;
+/// Time after the last of those gaps that still matters, in seconds.
+const AFTER_S: f64 = 0.5;
+/// A step that gains less is a failure, in metres.
+const WORTH_M: f64 = 1e-4;
+/// Cost of the square of a change, so that changes without an effect are not made.
+const IDLE_WEIGHT: f64 = 1e-5;
+
+/// An ascent from one profile.
+pub(super) struct Ascent {
+    pub(super) at: SimulatedProfile,
+    region_mps2: f64,
+}
+
+impl Ascent {
+    pub(super) fn new(at: SimulatedProfile) -> Self {
+        Self { at, region_mps2: REGION_MPS2[0] }
+    }
+
+    /// Whether the trust region has become too small to go on.
+    pub(super) fn is_over(&self) -> bool {
+        self.region_mps2 < REGION_MPS2[2]
+    }
+
+    /// Makes one step; returns whether it increases the margin.
+    pub(super) fn step(&mut self, plant: &mut Plant<'_>, stream: &mut Stream) -> bool {
+        let gained = self.proposals(plant, stream).into_iter().max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
+        let [success, failure] = REGION_FACTORS;
+        match gained.filter(|best| best.margin_m > self.at.margin_m + WORTH_M) {
+            Some(best) => {
+                self.at = best;
+                self.region_mps2 = (self.region_mps2 * success).min(REGION_MPS2[1]);
+                true
+            }
+            None => {
+                self.region_mps2 *= failure;
+                false
+            }
+        }
+    }
+
+    /// Simulated shares of the step that a linear program proposes.
+    fn proposals(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
+        let Some(Some(here)) = plant.gaps(std::slice::from_ref(&self.at.profile)).pop() else { return Vec::new() };
+        let blocks = self.blocks(plant, &here, stream);
+        let nudge_mps2 = (0.5 * self.region_mps2).clamp(0.05, 1.0);
+        let by_mps2: Vec<f64> = blocks.iter().map(|block| self.towards_the_middle(plant, block, nudge_mps2)).collect();
+        let nudged: Vec<Profile> =
+            blocks.iter().zip(&by_mps2).map(|(block, &by)| plant.moved(&self.at.profile, block, by)).collect();
+        let nudged = plant.gaps(&nudged);
+        let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else { return Vec::new() };
+        let share = |share: f64| {
+            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| plant.moved(&profile, block, share * by);
+            blocks.iter().zip(&step).fold(self.at.profile.clone(), moved)
+        };
+        let shares = SHARES.map(share);
+        plant.try_out(shares.into())
+    }
+
+    /// Blocks of equal length until the last small gap, at a random phase, and few after it.
+    fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
+        let near_m = self.at.margin_m.max(0.0) + NEAR_M;
+        let is_near = |sample: &usize| here.of_sample(*sample).any(|gap_m| gap_m < near_m);
+        let last = (0..here.samples).rev().find(is_near).unwrap_or(0);
+        let until_s = last as f64 * plant.sample_s() + AFTER_S;
+        let all = plant.cells();
+        let until = ((until_s / plant.cell_s()).ceil() as usize).clamp(1, all);
+        let [before, after] = BLOCKS.map(|count| count.div_ceil(plant.egos()));
+        let phase: f64 = stream.random();
+        let length = until as f64 / before as f64;
+        let early = (0..=before).map(|block| ((block as f64 - phase) * length).round().max(0.0) as usize);
+        let late = (0..=after).map(|block| until + (all - until) * block / after);
+        let mut borders: Vec<usize> = std::iter::once(0).chain(early).chain(late).map(|cell| cell.min(all)).collect();
+        borders.sort_unstable();
+        borders.dedup();
+        let of_ego = |ego: usize| {
+            borders.windows(2).filter_map(move |pair| match pair {
+                &[from, to] => Some(CellBlock { ego, cells: from..to }),
+                _ => None,
+            })
+        };
+        (0..plant.egos()).flat_map(of_ego).collect()
+    }
+
+    /// A nudge that the limits of no cell undo, if there is one.
+    fn towards_the_middle(&self, plant: &Plant<'_>, block: &CellBlock, nudge_mps2: f64) -> f64 {
+        let [low, high] = plant.limits_mps2(block.ego);
+        let [least, most] = self.range_mps2(block);
+        if high - most >= least - low { nudge_mps2.min((high - low) / 2.0) } else { -nudge_mps2.min((high - low) / 2.0) }
+    }
+
+    /// Lowest and highest acceleration in a block, in m/s².
+    fn range_mps2(&self, block: &CellBlock) -> [f64; 2] {
+        let cells = self.at.profile.get(block.ego).and_then(|cells| cells.get(block.cells.clone()));
+        let cells = cells.into_iter().flatten();
+        cells.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], &held| [least.min(held), most.max(held)])
+    }
+
+    /// The change of each block that makes the smallest linearised gap largest.
+    fn best_step(
+        &self,
+        plant: &Plant<'_>,
+        blocks: &[CellBlock],
+        here: &SampledGaps,
+        nudged: &[Option<SampledGaps>],
+        by_mps2: &[f64],
+    ) -> Option<Vec<f64>> {
+        let region = self.region_mps2;
+        let smallest = blocks.len();
+        let mut program = QuadraticProgram::new(blocks.len() + 1);
+        program.cost(smallest, -1.0);
+        for (index, block) in blocks.iter().enumerate() {
+            let [low, high] = plant.limits_mps2(block.ego);
+            let [least, most] = self.range_mps2(block);
+            program.at_most(&[(index, 1.0)], region.min(high - least));
+            program.at_most(&[(index, -1.0)], region.min(most - low));
+            program.square(&[(index, 1.0)], IDLE_WEIGHT);
+        }
+        let slope = |sample: usize, block: usize| {
+            let gap_m = nudged.get(block)?.as_ref()?.gap_m.get(sample)?;
+            Some((gap_m - here.gap_m.get(sample)?) / by_mps2.get(block)?).filter(|slope| slope.is_finite())
+        };
+        let rows: Vec<(f64, Vec<f64>)> = here
+            .gap_m
+            .iter()
+            .enumerate()
+            .filter(|(_, gap_m)| gap_m.is_finite())
+            .map(|(sample, &gap_m)| {
+                (gap_m, (0..blocks.len()).map(|block| slope(sample, block).unwrap_or(0.0)).collect())
+            })
+            .collect();
+        let reach = |slopes: &[f64]| region * slopes.iter().map(|slope| slope.abs()).sum::<f64>();
+        // A gap that stays above what another one cannot exceed decides nothing.
+        let ceiling_m = rows.iter().map(|(gap_m, slopes)| gap_m + reach(slopes)).fold(f64::INFINITY, f64::min);
+        program.at_most(&[(smallest, 1.0)], ceiling_m);
+        for (gap_m, slopes) in rows.iter().filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m) {
+            let falls = slopes.iter().enumerate().filter(|(_, slope)| **slope != 0.0).map(|(i, slope)| (i, -slope));
+            program.at_most(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
+        }
+        let Solved::Optimal { at, .. } = program.solve() else { return None };
+        // Rounded, so that the last digits of the solver, which differ between machines, do not matter.
+        let rounded = |change: &f64| (change.clamp(-region, region) * 1e4).round() / 1e4;
+        let step: Vec<f64> = at.iter().take(blocks.len()).map(rounded).collect();
+        step.iter().all(|change| change.is_finite()).then_some(step)
+    }
+}
+
+impl SampledGaps {
+    /// The gaps of all pairs at a sample.
+    fn of_sample(&self, sample: usize) -> impl Iterator<Item = f64> {
+        self.gap_m.iter().skip(sample).step_by(self.samples.max(1)).copied()
+    }
+}

@@ -1,0 +1,185 @@
+//! Simulation of profiles of the vehicles under test, with every other driver in the loop.
+
+use std::ops::Range;
+
+use super::super::attack::Trial;
+use super::super::situation::delay_steps;
+use super::super::witness::{by_script, follow, pieces};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{RecordingLevel, Run, Simulated, simulate_batch};
+
+/// Acceleration of each vehicle under test in each cell, in m/s².
+pub(super) type Profile = Vec<Vec<f64>>;
+
+/// A profile that was simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SimulatedProfile {
+    pub(super) profile: Profile,
+    /// The smallest gap in metres, or minus v²/10 of an impact at v m/s.
+    pub(super) margin_m: f64,
+}
+
+/// Cells of one vehicle under test that change by the same amount.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct CellBlock {
+    pub(super) ego: usize,
+    pub(super) cells: Range<usize>,
+}
+
+/// Bumper gaps of one run, pair after pair and sample after sample, in metres; NaN where a pair or a sample is missing.
+pub(super) struct SampledGaps {
+    pub(super) gap_m: Vec<f64>,
+    pub(super) samples: usize,
+}
+
+/// A vehicle under test and its limits.
+#[derive(Debug, Clone, Copy)]
+struct EgoLimits {
+    index: usize,
+    /// Steps at the start in which no command has an effect yet.
+    dead_steps: usize,
+    low_mps2: f64,
+    high_mps2: f64,
+}
+
+/// A scenario whose vehicles under test follow profiles.
+pub(super) struct Plant<'s> {
+    scenario: &'s Scenario,
+    egos: Vec<EgoLimits>,
+    /// Steps over which an acceleration is held.
+    cell: usize,
+    /// Simulations made so far.
+    pub(super) simulations: usize,
+}
+
+/// Longest time between two samples of a gap, in seconds: the gap bends by a centimetre in between.
+const SAMPLE_S: f64 = 0.1;
+
+impl<'s> Plant<'s> {
+    /// None if the vehicles under test do not follow each other, or one of them answers with a lag or a limited jerk.
+    pub(super) fn new(scenario: &'s Scenario, cell: usize) -> Option<Self> {
+        let indices: Vec<usize> =
+            (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
+        let follow_each_other = indices.windows(2).all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
+        let ego = |index: usize| {
+            let vehicle = scenario.vehicles().get(index)?;
+            let is_prompt = vehicle.actuator_lag_s == 0.0 && vehicle.jerk_limit_mps3.is_none();
+            is_prompt.then(|| EgoLimits {
+                index,
+                dead_steps: delay_steps(scenario, vehicle),
+                low_mps2: -scenario.usable_brake_mps2(index),
+                high_mps2: vehicle.max_accel_mps2(),
+            })
+        };
+        let egos: Vec<EgoLimits> = indices.into_iter().map(ego).collect::<Option<_>>()?;
+        (follow_each_other && !egos.is_empty()).then_some(Self { scenario, egos, cell: cell.max(1), simulations: 0 })
+    }
+
+    /// The index of the first vehicle under test.
+    pub(super) fn first_ego(&self) -> usize {
+        self.egos.first().map_or(0, |ego| ego.index)
+    }
+
+    pub(super) fn egos(&self) -> usize {
+        self.egos.len()
+    }
+
+    pub(super) fn cells(&self) -> usize {
+        self.scenario.steps().div_ceil(self.cell)
+    }
+
+    pub(super) fn cell_s(&self) -> f64 {
+        self.cell as f64 * self.scenario.spec().step_s
+    }
+
+    /// Lowest and highest acceleration of a vehicle under test, in m/s².
+    pub(super) fn limits_mps2(&self, ego: usize) -> [f64; 2] {
+        self.egos.get(ego).map_or([0.0; 2], |ego| [ego.low_mps2, ego.high_mps2])
+    }
+
+    /// The profile of accelerations that are given for each step: the mean of each cell.
+    pub(super) fn profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
+        let mean = |steps: &[f64]| steps.iter().sum::<f64>() / steps.len() as f64;
+        each_step_mps2.iter().map(|each| each.chunks(self.cell).map(mean).collect()).collect()
+    }
+
+    /// The acceleration of each vehicle under test in each step, in m/s².
+    pub(super) fn each_step_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
+        let steps = self.scenario.steps();
+        let of = |(ego, cells): (&EgoLimits, &Vec<f64>)| {
+            let held = cells.iter().flat_map(|&held| std::iter::repeat_n(held, self.cell)).take(steps);
+            let mut each: Vec<f64> = held.map(|held| held.clamp(ego.low_mps2, ego.high_mps2)).collect();
+            each.iter_mut().take(ego.dead_steps).for_each(|held| *held = 0.0);
+            each
+        };
+        self.egos.iter().zip(profile).map(of).collect()
+    }
+
+    /// The profile with the cells of a block changed, within the limits.
+    pub(super) fn moved(&self, profile: &Profile, block: &CellBlock, by_mps2: f64) -> Profile {
+        let [low, high] = self.limits_mps2(block.ego);
+        let mut moved = profile.clone();
+        let cells = moved.get_mut(block.ego).and_then(|cells| cells.get_mut(block.cells.clone()));
+        cells.into_iter().flatten().for_each(|held| *held = (*held + by_mps2).clamp(low, high));
+        moved
+    }
+
+    /// Simulates profiles; those that make no valid scenario are left out.
+    pub(super) fn try_out(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
+        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| Trial::of(&simulated).margin_m);
+        let candidate = |(profile, margin_m): (Profile, Option<f64>)| Some(SimulatedProfile { profile, margin_m: margin_m? });
+        profiles.into_iter().zip(margins_m).filter_map(candidate).collect()
+    }
+
+    /// Simulates profiles and samples the gaps between all vehicles.
+    pub(super) fn gaps(&mut self, profiles: &[Profile]) -> Vec<Option<SampledGaps>> {
+        let stride = self.sample_steps();
+        let samples = self.scenario.steps() / stride + 1;
+        let vehicles = self.scenario.vehicles().len();
+        let sampled = |simulated: Simulated| {
+            let trace = simulated.trace.as_ref()?;
+            let pair = |rear: usize| {
+                let gaps_m = trace.gaps_m(rear).into_iter().step_by(stride).map(|gap_m| gap_m.unwrap_or(f64::NAN));
+                gaps_m.chain(std::iter::repeat(f64::NAN)).take(samples)
+            };
+            Some(SampledGaps { gap_m: (1..vehicles).flat_map(pair).collect(), samples })
+        };
+        self.simulate(profiles, RecordingLevel::Trace, sampled).into_iter().map(Option::flatten).collect()
+    }
+
+    /// Time between two samples of [`Plant::gaps`], in seconds.
+    pub(super) fn sample_s(&self) -> f64 {
+        self.sample_steps() as f64 * self.scenario.spec().step_s
+    }
+
+    fn sample_steps(&self) -> usize {
+        ((SAMPLE_S / self.scenario.spec().step_s) as usize).max(1)
+    }
+
+    fn simulate<R: Send>(
+        &mut self,
+        profiles: &[Profile],
+        level: RecordingLevel,
+        reduce: impl Fn(Simulated) -> R + Sync,
+    ) -> Vec<Option<R>> {
+        let scripted: Vec<Option<Scenario>> = profiles.iter().map(|profile| self.scripted(profile)).collect();
+        let runs: Vec<Option<Run<'_>>> =
+            scripted.iter().map(|scenario| Run::new(scenario.as_ref()?, by_script()).ok()).collect();
+        let is_valid: Vec<bool> = runs.iter().map(Option::is_some).collect();
+        let runs: Vec<Run<'_>> = runs.into_iter().flatten().collect();
+        self.simulations += runs.len();
+        let mut results = simulate_batch(&runs, level, |_, simulated| reduce(simulated)).into_iter();
+        is_valid.into_iter().map(|is_valid| if is_valid { results.next() } else { None }).collect()
+    }
+
+    fn scripted(&self, profile: &Profile) -> Option<Scenario> {
+        let step_s = self.scenario.spec().step_s;
+        let scripts = self.each_step_mps2(profile);
+        let scripted = self.scenario.edited(|spec| {
+            for (vehicle, each) in spec.vehicles.iter_mut().skip(self.first_ego()).zip(&scripts) {
+                follow(vehicle, pieces(each, step_s));
+            }
+        });
+        scripted.ok()
+    }
+}

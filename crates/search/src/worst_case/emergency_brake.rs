@@ -1,0 +1,79 @@
+//! Emergency brakes behind the vehicles under test, read from a replay.
+
+use crumple_world::control::{AccAebSettings, AebSettings, ControllerSpec};
+use crumple_world::scenario::{Driver, Scenario};
+use crumple_world::sim::Trace;
+
+/// Emergency brakes behind the vehicles under test in a replay.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EmergencyBrake {
+    /// This is the first one that fires.
+    Fires {
+        /// Index of its vehicle.
+        vehicle: usize,
+        /// When, in seconds.
+        time_s: f64,
+    },
+    /// None fires; perhaps there is none.
+    Silent,
+    /// Some vehicle behind is driven by a controller that may have one, and none of which the threshold is known fires.
+    Unknown,
+}
+
+impl EmergencyBrake {
+    /// Reads a replay, from vehicle `behind` on.
+    pub(super) fn of(scenario: &Scenario, behind: usize, trace: &Trace) -> Self {
+        let (mut first, mut is_known) = (None::<(f64, usize)>, true);
+        for (vehicle, spec) in scenario.vehicles().iter().enumerate().skip(behind) {
+            match Threshold::of(&spec.driver) {
+                Threshold::None => {}
+                Threshold::Unknown => is_known = false,
+                Threshold::TimeToCollision(ttc_s) => {
+                    let fires = fires_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
+                    first = first.into_iter().chain(fires).min_by(|a, b| a.0.total_cmp(&b.0));
+                }
+            }
+        }
+        match first {
+            Some((time_s, vehicle)) => Self::Fires { vehicle, time_s },
+            None if is_known => Self::Silent,
+            None => Self::Unknown,
+        }
+    }
+}
+
+/// Condition under which a driver's emergency brake fires.
+enum Threshold {
+    None,
+    /// A time to collision below this, in seconds.
+    TimeToCollision(f64),
+    Unknown,
+}
+
+impl Threshold {
+    fn of(driver: &Driver) -> Self {
+        match driver {
+            Driver::Controller(
+                ControllerSpec::Baseline(AebSettings { ttc_s })
+                | ControllerSpec::BaselineUnlatched(AebSettings { ttc_s })
+                | ControllerSpec::AccAeb(AccAebSettings { ttc_s, .. }),
+            ) => Self::TimeToCollision(*ttc_s),
+            Driver::Profile(_) | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => Self::None,
+            Driver::UnderTest | Driver::Controller(_) | Driver::File(_) => Self::Unknown,
+        }
+    }
+}
+
+/// When the time to collision of a vehicle first falls below a threshold at an instant of decision, in seconds.
+fn fires_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
+    // No decision is made at the last sample.
+    let decisions = trace.len().saturating_sub(1);
+    trace.pairs(vehicle).iter().find_map(|pair| {
+        let fires = |&(sample, gap_m): &(usize, f64)| {
+            let speed_mps = |of: &[f64]| of.get(sample).copied().unwrap_or(f64::NAN);
+            gap_m - ttc_s * (speed_mps(&pair.rear.speed_mps) - speed_mps(&pair.front.speed_mps)) < 0.0
+        };
+        let (sample, _) = pair.gaps_m().take_while(|(sample, _)| *sample < decisions).find(fires)?;
+        trace.time_s.get(sample).copied()
+    })
+}

@@ -1,0 +1,204 @@
+//! A step of a leader's braking profile inside its envelope, by a convex program.
+//!
+//! A profile has one acceleration a cell; a step changes it by a function that is linear between knots.
+
+use super::attack::{Aim, Bench};
+use crumple_quadratic::{QuadraticProgram, Solved};
+
+/// Knots until a run ends, and after that.
+const KNOTS: [usize; 2] = [24, 3];
+/// Cost of the square of a change where the margin is the objective.
+const IDLE_WEIGHT: f64 = 1e-4;
+/// Cost of a metre by which the margin misses its aim.
+const SHORTFALL_COST: f64 = 1e3;
+
+/// Changes that are linear between knots, at the middle of each cell.
+pub(super) struct Hats {
+    /// The knots left and right of each cell and the share of the right one.
+    shares: Vec<(usize, f64)>,
+    knots: usize,
+}
+
+impl Hats {
+    /// Knots at equal distances until `until_s`, moved by `phase` of a distance, and a few after it.
+    pub(super) fn new(bench: &Bench<'_>, until_s: f64, phase: f64) -> Self {
+        let all_s = bench.cells() as f64 * bench.cell_s();
+        let until_s = until_s.min(all_s);
+        let apart_s = (until_s / KNOTS[0] as f64).max(bench.cell_s());
+        let early = (0..=KNOTS[0]).map(|knot| (knot as f64 + phase) * apart_s);
+        let mut at_s: Vec<f64> = std::iter::once(0.0).chain(early).filter(|at_s| *at_s < all_s).collect();
+        let last_s = at_s.last().copied().unwrap_or(0.0);
+        at_s.extend((1..=KNOTS[1]).map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOTS[1] as f64));
+        at_s.dedup();
+        let share = |cell: usize| {
+            let middle_s = (cell as f64 + 0.5) * bench.cell_s();
+            let left = at_s.partition_point(|at_s| *at_s <= middle_s).clamp(1, at_s.len().max(2) - 1) - 1;
+            match at_s.get(left..left + 2) {
+                Some(&[left_s, right_s]) => (left, ((middle_s - left_s) / (right_s - left_s)).clamp(0.0, 1.0)),
+                _ => (left, 0.0),
+            }
+        };
+        Self { shares: (0..bench.cells()).map(share).collect(), knots: at_s.len() }
+    }
+
+    /// The weights of the knots in a cell.
+    fn terms(&self, cell: usize) -> [(usize, f64); 2] {
+        let (left, share) = self.shares.get(cell).copied().unwrap_or((0, 0.0));
+        [(left, 1.0 - share), (left + 1, share)]
+    }
+
+    /// The profile with one knot changed, within the limits of the acceleration.
+    pub(super) fn moved(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
+        let held = |(cell, held): (usize, &f64)| {
+            let weight: f64 = self.terms(cell).iter().filter(|(index, _)| *index == knot).map(|(_, weight)| weight).sum();
+            if weight == 0.0 { *held } else { (held + weight * by_mps2).clamp(-most_mps2, 0.0) }
+        };
+        cells_mps2.iter().enumerate().map(held).collect()
+    }
+
+    /// The weighted mean of the profile around each knot, in m/s².
+    pub(super) fn means_mps2(&self, cells_mps2: &[f64]) -> impl Iterator<Item = f64> {
+        let mut sums = vec![(0.0, 0.0); self.knots];
+        for (cell, held) in cells_mps2.iter().enumerate() {
+            for (knot, weight) in self.terms(cell) {
+                if let Some((sum, weights)) = sums.get_mut(knot) {
+                    (*sum, *weights) = (*sum + weight * held, *weights + weight);
+                }
+            }
+        }
+        sums.into_iter().map(|(sum, weights)| if weights > 0.0 { sum / weights } else { 0.0 })
+    }
+}
+
+/// Objective of a step.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum StepGoal {
+    /// The smallest margin.
+    Margin,
+    /// The least cost of a profile whose linearised margin is at most this, in metres, or near it.
+    Cost {
+        /// What costs: ∫ a² or the peak.
+        aim: Aim,
+        margin_m: f64,
+    },
+}
+
+/// Where a step begins, and how far it may go.
+pub(super) struct EnvelopeStep<'a> {
+    pub(super) from_mps2: &'a [f64],
+    pub(super) margin_m: f64,
+    /// Change of the margin with each knot, in s².
+    pub(super) slope: &'a [f64],
+    pub(super) hats: &'a Hats,
+    /// Most change of a knot, in m/s².
+    pub(super) region: f64,
+}
+
+impl EnvelopeStep<'_> {
+    /// The profile after the step, and its predicted margin in metres; none if the solver finds none.
+    pub(super) fn towards(&self, bench: &mut Bench<'_>, goal: StepGoal) -> Option<(Vec<f64>, f64)> {
+        bench.programs += 1;
+        let knots = self.hats.knots;
+        let (peak, short) = (knots, knots + 1);
+        let mut program = QuadraticProgram::new(knots + 2);
+        self.envelope(bench, &mut program);
+        program.at_most(&[(short, -1.0)], 0.0);
+        program.at_most(&[(peak, -1.0)], 0.0);
+        let predicted_m = match goal {
+            StepGoal::Margin => {
+                for (knot, &slope) in self.slope.iter().enumerate() {
+                    program.cost(knot, slope);
+                    program.square(&[(knot, 1.0)], IDLE_WEIGHT);
+                }
+                None
+            }
+            StepGoal::Cost { aim, margin_m } => {
+                let mut falls: Vec<_> = self.slope.iter().copied().enumerate().collect();
+                falls.push((short, -1.0));
+                program.at_most(&falls, margin_m - self.margin_m);
+                program.cost(short, SHORTFALL_COST);
+                self.cost(bench, &mut program, aim, peak);
+                Some(margin_m)
+            }
+        };
+        let Solved::Optimal { at, .. } = program.solve() else { return None };
+        if at.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let linear_m: f64 = self.slope.iter().zip(&at).map(|(slope, change)| slope * change).sum();
+        Some((self.inside(bench, &at), predicted_m.unwrap_or(self.margin_m + linear_m)))
+    }
+
+    /// Rows of the trust region, the limits and the jerk.
+    fn envelope(&self, bench: &Bench<'_>, program: &mut QuadraticProgram) {
+        let (region, most) = (self.region, bench.envelope.max_brake_mps2);
+        let jump = bench.envelope.jerk_mps3 * bench.cell_s();
+        for knot in 0..self.hats.knots {
+            program.at_most(&[(knot, 1.0)], region);
+            program.at_most(&[(knot, -1.0)], region);
+        }
+        let negative = |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
+        let mut before: Option<(f64, [(usize, f64); 2])> = None;
+        for (cell, &held) in self.from_mps2.iter().enumerate() {
+            let terms = self.hats.terms(cell);
+            // Rows that the trust region keeps are left out.
+            if held + region > 0.0 {
+                program.at_most(&terms, -held);
+            }
+            if held - region < -most {
+                program.at_most(&negative(&terms), most + held);
+            }
+            let (last, last_terms) = before.unwrap_or((0.0, [(0, 0.0); 2]));
+            let mut change: Vec<(usize, f64)> = Vec::from(terms);
+            for (knot, weight) in last_terms {
+                match change.iter_mut().find(|(other, _)| *other == knot) {
+                    Some((_, sum)) => *sum -= weight,
+                    None => change.push((knot, -weight)),
+                }
+            }
+            let reach = region * change.iter().map(|(_, weight)| weight.abs()).sum::<f64>();
+            if held - last + reach > jump {
+                program.at_most(&change, jump - (held - last));
+            }
+            if held - last - reach < -jump {
+                program.at_most(&negative(&change), jump + (held - last));
+            }
+            before = Some((held, terms));
+        }
+    }
+
+    /// Cost of the whole profile.
+    fn cost(&self, bench: &Bench<'_>, program: &mut QuadraticProgram, aim: Aim, peak: usize) {
+        // Of all profiles with the least peak, a mild one.
+        let weight = if aim == Aim::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
+        for (cell, &held) in self.from_mps2.iter().enumerate() {
+            let terms = self.hats.terms(cell);
+            program.square(&terms, weight);
+            for (knot, share) in terms {
+                program.cost(knot, 2.0 * weight * held * share);
+            }
+            if aim == Aim::LeastPeak {
+                let [(left, a), (right, b)] = terms;
+                program.at_most(&[(left, -a), (right, -b), (peak, -1.0)], held);
+            }
+        }
+        if aim == Aim::LeastPeak {
+            program.cost(peak, 1.0);
+        }
+    }
+
+    /// The changed profile, exactly inside the envelope whatever the solver's tolerance is.
+    fn inside(&self, bench: &Bench<'_>, change: &[f64]) -> Vec<f64> {
+        let jump = bench.envelope.jerk_mps3 * bench.cell_s();
+        let mut before = 0.0_f64;
+        let held = |(cell, held): (usize, &f64)| {
+            let by: f64 = self.hats.terms(cell).iter().filter_map(|&(knot, w)| Some(w * change.get(knot)?)).sum();
+            let wanted = (held + by).clamp(-bench.envelope.max_brake_mps2, 0.0);
+            // The solver's remains of a zero.
+            let wanted = if wanted > -1e-6 { 0.0 } else { wanted };
+            before = wanted.clamp(before - jump, before + jump);
+            before
+        };
+        self.from_mps2.iter().enumerate().map(held).collect()
+    }
+}

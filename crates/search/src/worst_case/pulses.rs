@@ -1,0 +1,98 @@
+//! Pulses and ramps of a leader's braking, within its envelope.
+
+use super::attack::Bench;
+
+/// Course of a plain braking.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum BrakeForm {
+    /// Built up as fast as the jerk allows, held, and released.
+    Pulse,
+    /// Built up evenly over the whole length, and released.
+    Ramp,
+    /// Built up as fast as the jerk allows, and eased off evenly over the whole length.
+    Fall,
+}
+
+/// A plain braking.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pulse {
+    form: BrakeForm,
+    /// Cells before it and in it, its release apart.
+    onset: usize,
+    length: usize,
+    pub(super) depth_mps2: f64,
+    /// Difference to the next shallower one of the scan, in m/s².
+    spacing_mps2: f64,
+}
+
+/// Number of depths, lengths and onsets of a scan.
+struct ScanSize {
+    depths: usize,
+    lengths: usize,
+    onsets: usize,
+    forms: &'static [BrakeForm],
+}
+
+/// Pulses and ramps of several depths, lengths and onsets: 40 for a small budget, 110 for a medium one, 800 for a large one.
+pub(super) fn scan(bench: &Bench<'_>, budget: usize) -> Vec<Pulse> {
+    let ScanSize { depths, lengths, onsets, forms } = match budget {
+        ..400 => ScanSize { depths: 5, lengths: 4, onsets: 2, forms: &[BrakeForm::Pulse] },
+        400..2000 => ScanSize { depths: 7, lengths: 4, onsets: 2, forms: &[BrakeForm::Pulse, BrakeForm::Ramp] },
+        2000.. => ScanSize { depths: 12, lengths: 8, onsets: 3, forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall] },
+    };
+    let (cells, most) = (bench.cells(), bench.envelope.max_brake_mps2);
+    // From 0.4 s to the whole duration, evenly on a logarithmic scale.
+    let shortest = (0.4 / bench.cell_s()).max(1.0);
+    let longest = (cells as f64).max(shortest);
+    let length = |index: usize| {
+        (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize
+    };
+    let spacing_mps2 = most / depths as f64;
+    let mut all = Vec::new();
+    for &form in forms {
+        for onset in (0..onsets).map(|index| index * cells / (4 * onsets)) {
+            for length in (0..lengths).map(length) {
+                for depth in 1..=depths {
+                    all.push(Pulse { form, onset, length, depth_mps2: depth as f64 * spacing_mps2, spacing_mps2 });
+                }
+            }
+        }
+    }
+    all
+}
+
+impl Pulse {
+    pub(super) fn differs_in_depth_only(&self, other: &Self) -> bool {
+        (self.form, self.onset, self.length) == (other.form, other.onset, other.length)
+    }
+
+    /// The depth of the next shallower pulse of the scan, in m/s².
+    pub(super) fn shallower_mps2(&self) -> f64 {
+        self.depth_mps2 - self.spacing_mps2
+    }
+
+    pub(super) fn with_depth(self, depth_mps2: f64) -> Self {
+        Self { depth_mps2, ..self }
+    }
+
+    /// Its acceleration in each cell, in m/s².
+    pub(super) fn cells_mps2(&self, bench: &Bench<'_>) -> Vec<f64> {
+        let most = bench.envelope.jerk_mps3 * bench.cell_s();
+        let mut before = 0.0_f64;
+        let mut held = |cell: usize| {
+            let into = cell.checked_sub(self.onset).filter(|into| *into < self.length);
+            let wanted = into.map_or(0.0, |into| {
+                let share = (into + 1) as f64 / self.length as f64;
+                -self.depth_mps2
+                    * match self.form {
+                        BrakeForm::Pulse => 1.0,
+                        BrakeForm::Ramp => share,
+                        BrakeForm::Fall => 1.0 - share,
+                    }
+            });
+            before = wanted.clamp(before - most, before + most);
+            before
+        };
+        (0..bench.cells()).map(&mut held).collect()
+    }
+}
