@@ -77,7 +77,7 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
     assert!(said.contains("  behind: no vehicle\n"), "{said}");
 }
 
-/// The follower of issue 49, whose brake fired in the replay of an escape that was said to leave it alone.
+/// A follower whose brake fired in the replay of an escape that was said to leave it alone.
 #[test]
 fn an_escape_before_a_law_says_what_was_optimised_and_what_its_replay_shows() {
     let folder = folder();
