@@ -152,7 +152,7 @@ mod tests {
         assert!(names(temporary.path()).is_empty());
     }
 
-    /// Other users can put anything into a temporary folder that is everybody's.
+    /// Other users can put anything into a shared temporary folder.
     #[test]
     fn links_files_and_other_names_are_left_alone() {
         let temporary = tempfile::tempdir().unwrap();
