@@ -480,11 +480,7 @@ fn each_certificate_has_its_verdict_whatever_is_wrong_with_another() {
     // A verdict comes before what has none.
     let said = crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
     assert_eq!(code(&said), 1);
-    assert!(
-        stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: its follower_brake_mps2 is "),
-        "{}",
-        stdout(&said)
-    );
+    assert!(stdout(&said).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&said));
     assert!(!stdout(&said).contains(".json: accepted"), "{}", stdout(&said));
     let gate = stderr(&said).lines().last().unwrap();
     assert!(gate.starts_with("gate: not about the scenario asked for: "), "{gate}");
