@@ -23,13 +23,13 @@ const HORIZONS: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
 
 /// A profile, accelerations from instants on, and the margin that it keeps.
 #[derive(Debug, Clone)]
-struct Tried {
-    pieces: Vec<(f64, f64)>,
-    margin_m: f64,
+pub(super) struct Tried {
+    pub(super) pieces: Vec<(f64, f64)>,
+    pub(super) margin_m: f64,
 }
 
-/// The largest smallest gap of so many random profiles of vehicle 1, in metres; negative if each of them collides.
-pub(super) fn random_search_m(scenario: &Scenario, tries: usize, seed: u64) -> f64 {
+/// The profile of vehicle 1 with the largest smallest gap of so many random ones; its margin is negative if each collides.
+pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> Tried {
     let dice = &mut Dice(seed);
     let mut best: Vec<Tried> = Vec::new();
     let mut left = tries;
@@ -48,7 +48,7 @@ pub(super) fn random_search_m(scenario: &Scenario, tries: usize, seed: u64) -> f
         best.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
         best.truncate(BEST);
     }
-    best[0].margin_m
+    best.swap_remove(0)
 }
 
 /// An acceleration of vehicle 1: a limit, none, or anything between.
@@ -129,7 +129,8 @@ fn by_script() -> RunOptions {
 }
 
 fn read(name: &str) -> Scenario {
-    file::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/worst_case/escapes").join(name)).expect("a scenario")
+    file::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/worst_case/escapes").join(name))
+        .expect("a scenario")
 }
 
 fn found(scenario: &Scenario) -> Avoidance {
@@ -150,7 +151,7 @@ fn compare(scenarios: std::ops::Range<u64>, tries: usize) -> Comparison {
     for index in scenarios {
         let scenario = space.draw(49, index).expect("a draw");
         let avoidance = found(&scenario);
-        let random_m = random_search_m(&scenario, tries, index);
+        let random_m = random_search(&scenario, tries, index).margin_m;
         let kept_m = match &avoidance.verdict {
             AvoidanceVerdict::Avoidable(escape) => escape.min_gap_m,
             AvoidanceVerdict::Unavoidable(_) => {
