@@ -97,7 +97,8 @@ struct Report<'a> {
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let family = self.family()?;
-        let options = AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true, ..AvoidOptions::default() };
+        let options =
+            AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true, ..AvoidOptions::default() };
         let avoidance = avoid_all(&family, options).map_err(|error| match error {
             AvoidError::Grid { .. } => Failure::Input(format!("--grid: {error}")),
             other => Failure::Input(format!("{}: {other}", self.scenario)),

@@ -24,7 +24,7 @@ the last program predicted.
 
 --budget ends the search between its rounds, of some 30 simulations each. The exact method always makes one simulation for each \
 step of the scenario and one for each part of the enumeration (at most 1500). The other method always makes its scan of pulses and ramps (40 \
-for a budget below 400, 112 below 2000, 864 from there on) and, if one collides, at most 48 that make them milder. The output says if \
+for a budget below 400, 112 below 2000, 864 from there on) and, if one collides, at most 144 that make them milder. The output says if \
 these are more than the budget.
 
 A margin is the smallest gap or, after a contact at v m/s, minus v²/10. A scenario may have 500 000 vehicles times steps, \

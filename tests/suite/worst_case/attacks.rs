@@ -155,8 +155,12 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
         let collides = simulate_batch(&runs, RecordingLevel::Summary, |_, result| !result.outcome.is_safe());
         let efforts = scripted.iter().zip(collides).filter(|(_, collides)| *collides).map(|((effort, _), _)| *effort);
         let least_m2ps3 = efforts.fold(f64::INFINITY, f64::min);
-        assert!(found.effort_m2ps3 <= least_m2ps3, "{name}, {controller}: {} against {least_m2ps3}", found.effort_m2ps3);
-        // 68.83 was called a local optimum.
+        assert!(
+            found.effort_m2ps3 <= least_m2ps3,
+            "{name}, {controller}: {} against {least_m2ps3}",
+            found.effort_m2ps3
+        );
+        // The pulse of issue 49, where 68.83 was called a local optimum.
         assert!((name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32, "{}", found.effort_m2ps3);
     }
 }

@@ -129,7 +129,8 @@ fn by_script() -> RunOptions {
 }
 
 fn read(name: &str) -> Scenario {
-    file::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/worst_case/escapes").join(name)).expect("a scenario")
+    file::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/worst_case/escapes").join(name))
+        .expect("a scenario")
 }
 
 fn found(scenario: &Scenario) -> Avoidance {

@@ -2,6 +2,7 @@
 
 use crumple_verify::{Accepted, Certificate, Statement};
 
+use super::avoidance::{Avoidance, AvoidanceVerdict, Optimality};
 use super::branches::Search;
 use super::certificate;
 use super::closed_loop::{self, Effort};
@@ -87,81 +88,6 @@ pub const MOST_EGOS: usize = 20;
 
 /// Most vehicles under test times steps that [`avoid()`] takes on: where nothing can be decided, some two minutes and 150 MB.
 pub const MOST_EGO_STEPS: usize = 50_000;
-
-/// What was found out.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Avoidance {
-    /// The answer.
-    pub verdict: AvoidanceVerdict,
-    /// The largest smallest gap of the escapes that were found and replayed, in metres: best found, not best there is, for a finer
-    /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`]).
-    pub best_min_gap_m: Option<f64>,
-    /// No escape has a larger smallest gap, in metres: a bound over every controller. With a certificate it is the certified one,
-    /// otherwise as computed from multipliers of the programs. None if there is no bound, or no escape.
-    pub min_gap_bound_m: Option<f64>,
-    /// Why nobody keeps more, if it was asked for and could be written down; the checker has accepted it.
-    pub bound_certificate: Option<Box<Certificate>>,
-    /// Convex programs solved.
-    pub programs: usize,
-    /// Reason why no profile can keep a larger smallest gap, if there is one.
-    pub optimality: Optimality,
-}
-
-/// Reason why no profile can keep a larger smallest gap than the best one found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Optimality {
-    /// Nothing shows it.
-    BestFound,
-    /// The gap is within a centimetre of [`Avoidance::min_gap_bound_m`].
-    Bound,
-    /// The gap is within a centimetre of the smallest one at the start.
-    InitialGap,
-}
-
-impl Optimality {
-    /// Returns the name used in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::BestFound => "best-found",
-            Self::Bound => "bound",
-            Self::InitialGap => "initial-gap",
-        }
-    }
-}
-
-/// Whether any driver could have avoided the collision.
-#[derive(Debug, Clone, PartialEq)]
-pub enum AvoidanceVerdict {
-    /// Yes, like this.
-    Avoidable(Box<Escape>),
-    /// No, by this proof; the checker has accepted it.
-    Unavoidable(Box<Certificate>),
-    /// Neither was shown.
-    Undecided(Reason),
-}
-
-impl AvoidanceVerdict {
-    /// The name used in results.
-    #[must_use]
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Avoidable(_) => "avoidable",
-            Self::Unavoidable(_) => "unavoidable",
-            Self::Undecided(_) => "undecided",
-        }
-    }
-
-    /// The escape, if there is one.
-    #[must_use]
-    pub fn escape(&self) -> Option<&Escape> {
-        match self {
-            Self::Avoidable(escape) => Some(escape),
-            Self::Unavoidable(_) | Self::Undecided(_) => None,
-        }
-    }
-}
 
 /// Most programs on the finest grid.
 const MOST_FINE: usize = 64;

@@ -58,7 +58,9 @@ impl Threshold {
                 | ControllerSpec::BaselineUnlatched(AebSettings { ttc_s })
                 | ControllerSpec::AccAeb(AccAebSettings { ttc_s, .. }),
             ) => Self::TimeToCollision(*ttc_s),
-            Driver::Profile(_) | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => Self::None,
+            Driver::Profile(_) | Driver::Controller(ControllerSpec::Idm(_) | ControllerSpec::MatchLeader(_)) => {
+                Self::None
+            }
             Driver::UnderTest | Driver::Controller(_) | Driver::File(_) => Self::Unknown,
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! A profile has one acceleration a cell; a step changes it by a function that is linear between knots.
 
-use super::attack::{Aim, Bench};
+use super::attack::Aim;
+use super::bench::Bench;
 use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// Knots until a run ends, and after that.
@@ -50,7 +51,8 @@ impl Hats {
     /// The profile with one knot changed, within the limits of the acceleration.
     pub(super) fn moved(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
         let held = |(cell, held): (usize, &f64)| {
-            let weight: f64 = self.terms(cell).iter().filter(|(index, _)| *index == knot).map(|(_, weight)| weight).sum();
+            let weight: f64 =
+                self.terms(cell).iter().filter(|(index, _)| *index == knot).map(|(_, weight)| weight).sum();
             if weight == 0.0 { *held } else { (held + weight * by_mps2).clamp(-most_mps2, 0.0) }
         };
         cells_mps2.iter().enumerate().map(held).collect()

@@ -15,7 +15,8 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench, Trial};
+use super::attack::{Aim, Attack, AttackError, AttackMethod};
+use super::bench::{Bench, Trial};
 use super::lead::{Ask, cheapest};
 use super::sequential;
 use crumple_world::control::{AebSettings, ControllerSpec};

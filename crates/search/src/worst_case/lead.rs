@@ -4,7 +4,8 @@
 //! [`super::program`]: -b H <= w⁺ - w <= 0, w >= -v₀, and accelerations of successive cells differ by at most the jerk
 //! times H. Everything asked of the leader at a step is a bound on d + θ w there.
 
-use super::attack::{Aim, Bench};
+use super::attack::Aim;
+use super::bench::Bench;
 use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// The variable of the peak.

@@ -21,6 +21,8 @@
 
 mod attack;
 mod avoid;
+mod avoidance;
+mod bench;
 mod branches;
 mod certificate;
 mod closed_loop;
@@ -44,13 +46,11 @@ pub use attack::{
     Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MOST_VEHICLE_STEPS_IN_ALL,
     attack, hunt, hunt_until,
 };
-pub use avoid::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, Optimality, avoid,
-    avoid_all, certify,
-};
+pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
+pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
 pub use certificate::is_about;
-pub use closed_loop::Effort;
 pub(crate) use certificate::{certificate_about, is_exactly};
+pub use closed_loop::Effort;
 pub(crate) use descent::{Descent, Limits, Pace};
 pub use emergency_brake::EmergencyBrake;
 pub use family::{Family, FamilyError, FieldRange, Ranges};

@@ -1,6 +1,6 @@
 //! Pulses and ramps of a leader's braking, within its envelope.
 
-use super::attack::Bench;
+use super::bench::Bench;
 
 /// Course of a plain braking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,20 +33,21 @@ struct ScanSize {
     forms: &'static [BrakeForm],
 }
 
-/// Pulses and ramps of several depths, lengths and onsets: 40 for a small budget, 110 for a medium one, 800 for a large one.
+/// Pulses and ramps of several depths, lengths and onsets: 40 for a small budget, 112 for a medium one, 864 for a large one.
 pub(super) fn scan(bench: &Bench<'_>, budget: usize) -> Vec<Pulse> {
     let ScanSize { depths, lengths, onsets, forms } = match budget {
-        ..400 => ScanSize { depths: 5, lengths: 4, onsets: 2, forms: &[BrakeForm::Pulse] },
-        400..2000 => ScanSize { depths: 7, lengths: 4, onsets: 2, forms: &[BrakeForm::Pulse, BrakeForm::Ramp] },
-        2000.. => ScanSize { depths: 12, lengths: 8, onsets: 3, forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall] },
+        ..400 => ScanSize { depths: 4, lengths: 5, onsets: 2, forms: &[BrakeForm::Pulse] },
+        400..2000 => ScanSize { depths: 4, lengths: 7, onsets: 2, forms: &[BrakeForm::Pulse, BrakeForm::Ramp] },
+        2000.. => {
+            ScanSize { depths: 6, lengths: 16, onsets: 3, forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall] }
+        }
     };
     let (cells, most) = (bench.cells(), bench.envelope.max_brake_mps2);
     // From 0.4 s to the whole duration, evenly on a logarithmic scale.
     let shortest = (0.4 / bench.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
-    let length = |index: usize| {
-        (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize
-    };
+    let length =
+        |index: usize| (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize;
     let spacing_mps2 = most / depths as f64;
     let mut all = Vec::new();
     for &form in forms {

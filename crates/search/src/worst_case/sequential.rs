@@ -6,19 +6,23 @@
 //! step, and a rollout judges it. First down to a collision, then, along its boundary, to a mild one; or on down to a severe
 //! one. The result is the best profile found: nothing shows that no milder one exists.
 
-use super::attack::{Aim, Attack, AttackError, AttackMethod, Bench, Trial};
+use super::attack::{Aim, Attack, AttackError, AttackMethod};
+use super::bench::{Bench, Trial};
 use super::descent::{REGION_FACTORS, slopes};
-use super::envelope_step::{Hats, EnvelopeStep, StepGoal};
+use super::envelope_step::{EnvelopeStep, Hats, StepGoal};
 use super::pulses::{self, Pulse};
 
 /// Change of a knot for a finite difference, in m/s².
 const NUDGE_MPS2: f64 = 0.05;
 /// The trust region at first, and where a search gives up, in m/s².
 const REGION_MPS2: [f64; 2] = [1.0, 0.01];
-/// Profiles from which descents start.
-const STARTS: usize = 3;
-/// Bisections of the depth of a pulse between one that collides and one that does not, and pulses that are bisected.
-const BISECTIONS: [usize; 2] = [6, 8];
+/// Most profiles from which descents start, and simulations that are worth a start.
+const STARTS: usize = 8;
+const SIMULATIONS_PER_START: usize = 250;
+/// Bisections of the depth of a pulse between one that collides and one that does not.
+const BISECTIONS: usize = 6;
+/// Least and most pulses that are bisected.
+const BISECTED: [usize; 2] = [8, 24];
 /// A step that lowers the cost, or the margin in metres, by less than this is a failure.
 const WORTH: f64 = 1e-4;
 /// Time after a contact that still belongs to the knots before it, in seconds.
@@ -38,7 +42,8 @@ pub(super) struct Point {
 pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<Option<Attack>, AttackError> {
     let mut search = Search { bench, aim };
     let mut best: Option<(Point, f64)> = None;
-    let starts = search.starts(budget)?;
+    let mut starts = search.starts(budget)?;
+    starts.truncate((budget.saturating_sub(search.bench.evaluations) / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
         // Each descent gets an equal share of the simulations that are left.
@@ -85,12 +90,13 @@ impl Search<'_, '_> {
             all.sort_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
             return Ok(all.into_iter().map(|(_, point)| point).take(STARTS).collect());
         }
+        let most = (all.len() / 5).clamp(BISECTED[0], BISECTED[1]);
         all.retain(|(_, point)| point.collides);
         all.sort_by(|(_, a), (_, b)| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
         // One depth of each form, length and onset.
         let mut mildest: Vec<(Pulse, Point)> = Vec::new();
         for (pulse, point) in all {
-            if mildest.len() < BISECTIONS[1] && mildest.iter().all(|(other, _)| !other.differs_in_depth_only(&pulse)) {
+            if mildest.len() < most && mildest.iter().all(|(other, _)| !other.differs_in_depth_only(&pulse)) {
                 mildest.push((pulse, point));
             }
         }
@@ -104,11 +110,13 @@ impl Search<'_, '_> {
     /// Makes pulses that collide less deep, as long as they collide.
     fn bisect(&mut self, pulses: &mut [(Pulse, Point)]) -> Result<(), AttackError> {
         let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_mps2()).collect();
-        for _ in 0..BISECTIONS[0] {
-            let halfway = |((pulse, _), misses): (&(Pulse, Point), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
+        for _ in 0..BISECTIONS {
+            let halfway =
+                |((pulse, _), misses): (&(Pulse, Point), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
             let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
             let tried = self.try_out(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
-            for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried) {
+            for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried)
+            {
                 if point.collides { *pulse = (half, point) } else { *misses_mps2 = half.depth_mps2 }
             }
         }
@@ -128,7 +136,8 @@ impl Search<'_, '_> {
                 true => [-1e-3, -0.05, -0.3, -1.0].map(|margin_m| StepGoal::Cost { aim: self.aim, margin_m }).into(),
                 false => vec![StepGoal::Margin],
             };
-            let step = EnvelopeStep { from_mps2: &at.cells_mps2, margin_m: at.margin_m, slope: &slope, hats: &hats, region };
+            let step =
+                EnvelopeStep { from_mps2: &at.cells_mps2, margin_m: at.margin_m, slope: &slope, hats: &hats, region };
             let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.towards(self.bench, goal)).collect();
             let tried = self.try_out(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
             let gain = |point: &Point| match wants_cost {
@@ -172,7 +181,10 @@ impl Search<'_, '_> {
     /// The change of the margin with each knot, in s².
     fn slope(&mut self, at: &Point, hats: &Hats) -> Result<Vec<f64>, AttackError> {
         let most = self.bench.envelope.max_brake_mps2;
-        let by: Vec<f64> = hats.means_mps2(&at.cells_mps2).map(|mean| if mean > -0.5 * most { -NUDGE_MPS2 } else { NUDGE_MPS2 }).collect();
+        let by: Vec<f64> = hats
+            .means_mps2(&at.cells_mps2)
+            .map(|mean| if mean > -0.5 * most { -NUDGE_MPS2 } else { NUDGE_MPS2 })
+            .collect();
         let nudged = by.iter().enumerate().map(|(knot, &by)| hats.moved(&at.cells_mps2, knot, by, most)).collect();
         let margins_m: Vec<f64> = self.try_out(nudged)?.iter().map(|point| point.margin_m).collect();
         Ok(slopes(at.margin_m, &margins_m, &by))

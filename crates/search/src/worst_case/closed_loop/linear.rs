@@ -4,7 +4,7 @@
 //! program inside a trust region proposes a change of all blocks, and simulations of shares of it decide. The blocks lie
 //! elsewhere in each round, so a profile of cells of a tenth of a second needs few of them.
 
-use super::plant::{CellBlock, SimulatedProfile, SampledGaps, Plant, Profile};
+use super::plant::{CellBlock, Plant, Profile, SampledGaps, SimulatedProfile};
 use crumple_quadratic::{QuadraticProgram, Solved};
 use crumple_world::random::Stream;
 use rand::RngExt;
@@ -24,7 +24,7 @@ const AFTER_S: f64 = 0.5;
 /// A step that gains less is a failure, in metres.
 const WORTH_M: f64 = 1e-4;
 /// Cost of the square of a change, so that changes without an effect are not made.
-const IDLE_WEIGHT: f64 = 1e-5;
+const IDLE_WEIGHT: f64 = 1e-4;
 
 /// An ascent from one profile.
 pub(super) struct Ascent {
@@ -106,7 +106,11 @@ impl Ascent {
     fn towards_the_middle(&self, plant: &Plant<'_>, block: &CellBlock, nudge_mps2: f64) -> f64 {
         let [low, high] = plant.limits_mps2(block.ego);
         let [least, most] = self.range_mps2(block);
-        if high - most >= least - low { nudge_mps2.min((high - low) / 2.0) } else { -nudge_mps2.min((high - low) / 2.0) }
+        if high - most >= least - low {
+            nudge_mps2.min((high - low) / 2.0)
+        } else {
+            -nudge_mps2.min((high - low) / 2.0)
+        }
     }
 
     /// Lowest and highest acceleration in a block, in m/s².

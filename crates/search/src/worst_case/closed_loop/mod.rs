@@ -10,19 +10,24 @@ mod plant;
 mod shapes;
 
 use self::linear::Ascent;
-use self::plant::{SimulatedProfile, Plant, Profile};
+use self::plant::{Plant, Profile, SimulatedProfile};
+use self::shapes::Shape;
 use super::witness::{Escape, FoundBy};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
 
-/// Profiles from which a search starts.
-const STARTS: usize = 5;
-/// Two starting profiles differ by at least this much on average, in m/s².
-const APART_MPS2: f64 = 0.5;
-/// Cycles of a search: profiles that take part, rounds of random changes of each, and steps of the ascent of each.
-const CYCLES: [[usize; 3]; 3] = [[5, 6, 5], [3, 8, 8], [2, 12, 12]];
+/// Shapes that are changed: how many, and how many rounds of changes each gets, cycle after cycle.
+const CYCLES: [[usize; 2]; 3] = [[8, 10], [4, 24], [2, 40]];
 /// Random changes in a round.
 const CHANGES: usize = 25;
+/// Two of the first shapes differ by at least this much on average, in m/s².
+const APART_MPS2: f64 = 0.5;
+/// Ascents: how many, and how many steps each makes, cycle after cycle.
+const ASCENTS: [[usize; 2]; 2] = [[3, 5], [2, 15]];
+/// Cycles of a search that only has to decide.
+const DECIDING_CYCLES: usize = 2;
+/// A margin with which such a search ends, in metres: the replay at a smaller step may have a smaller one.
+const DECIDED_M: f64 = 0.05;
 /// A margin that misses the bound by less than this is not improved, in metres.
 const NEAR_BOUND_M: f64 = 1e-3;
 
@@ -80,22 +85,24 @@ struct GapSearch<'s> {
 impl GapSearch<'_> {
     /// Returns candidates, the best one first.
     fn best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: Effort) -> Vec<SimulatedProfile> {
-        let mut shapes = self.plant.try_out(shapes::shapes(&self.plant));
-        sort(&mut shapes);
+        let (enough_m, cycles) = match effort {
+            Effort::Decide => (DECIDED_M.min(self.enough_m), DECIDING_CYCLES),
+            Effort::Optimise => (self.enough_m, CYCLES.len()),
+        };
         let program = program_mps2.map(|each_step_mps2| self.plant.profile(each_step_mps2));
-        let program = self.plant.try_out(program.into_iter().collect());
-        let mut best = self.starts(program, &shapes);
+        let mut best = self.plant.try_out(program.into_iter().collect());
+        if best.iter().all(|at| at.margin_m < enough_m) {
+            best.extend(self.changed_shapes(enough_m, cycles).into_iter().map(|(_, at)| at));
+        }
         sort(&mut best);
-        for [profiles, rounds, steps] in CYCLES {
-            best.truncate(profiles);
+        for [ascents, steps] in ASCENTS {
+            best.truncate(ascents);
             for index in 0..best.len() {
-                let is_decided = effort == Effort::Decide && best.iter().any(|other| other.margin_m > 0.0);
-                if is_decided || best.iter().any(|other| other.margin_m >= self.enough_m) {
+                if best.iter().any(|at| at.margin_m >= enough_m) {
                     break;
                 }
                 if let Some(at) = best.get_mut(index) {
-                    let changed = self.changed(at.clone(), rounds);
-                    *at = self.ascended(changed, steps);
+                    *at = self.ascended(at.clone(), steps, enough_m);
                 }
             }
             sort(&mut best);
@@ -103,45 +110,53 @@ impl GapSearch<'_> {
         best
     }
 
-    /// The solution of the programs, and the best shapes that differ from each other.
-    fn starts(&self, program: Vec<SimulatedProfile>, shapes: &[SimulatedProfile]) -> Vec<SimulatedProfile> {
-        let mut starts = program;
-        for shape in shapes {
-            if starts.len() == STARTS {
-                break;
-            }
-            if starts.iter().all(|start| distance_mps2(&start.profile, &shape.profile) > APART_MPS2) {
-                starts.push(shape.clone());
+    /// The best simple shapes that differ from each other, after random changes.
+    fn changed_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(Shape, SimulatedProfile)> {
+        let mut tried = self.try_out(shapes::shapes(&self.plant));
+        tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
+        let mut best: Vec<(Shape, SimulatedProfile)> = Vec::new();
+        for (shape, at) in tried {
+            let is_new = best.iter().all(|(_, other)| distance_mps2(&other.profile, &at.profile) > APART_MPS2);
+            if is_new && best.len() < CYCLES[0][0] {
+                best.push((shape, at));
             }
         }
-        starts
+        for [shapes, rounds] in CYCLES.into_iter().take(cycles) {
+            best.truncate(shapes);
+            for index in (0..best.len()).flat_map(|index| std::iter::repeat_n(index, rounds)) {
+                if best.iter().any(|(_, at)| at.margin_m >= enough_m) {
+                    break;
+                }
+                let Some((shape, _)) = best.get(index) else { continue };
+                let changes = (0..CHANGES).map(|_| shape.changed(&self.plant, &mut self.stream)).collect();
+                let better =
+                    self.try_out(changes).into_iter().max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
+                if let (Some(current), Some(better)) = (best.get_mut(index), better)
+                    && better.1.margin_m > current.1.margin_m
+                {
+                    *current = better;
+                }
+            }
+            best.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
+        }
+        best
     }
 
-    fn ascended(&mut self, from: SimulatedProfile, steps: usize) -> SimulatedProfile {
+    fn try_out(&mut self, shapes: Vec<Shape>) -> Vec<(Shape, SimulatedProfile)> {
+        let profiles = shapes.iter().map(|shape| shape.profile(&self.plant)).collect();
+        let tried = self.plant.try_out(profiles);
+        shapes.into_iter().zip(tried).collect()
+    }
+
+    fn ascended(&mut self, from: SimulatedProfile, steps: usize, enough_m: f64) -> SimulatedProfile {
         let mut ascent = Ascent::new(from);
         for _ in 0..steps {
-            if ascent.is_over() || ascent.at.margin_m >= self.enough_m {
+            if ascent.is_over() || ascent.at.margin_m >= enough_m {
                 break;
             }
             ascent.step(&mut self.plant, &mut self.stream);
         }
         ascent.at
-    }
-
-    /// The best of random changes, round after round.
-    fn changed(&mut self, mut at: SimulatedProfile, rounds: usize) -> SimulatedProfile {
-        for _ in 0..rounds {
-            if at.margin_m >= self.enough_m {
-                break;
-            }
-            let changes = (0..CHANGES).map(|_| shapes::perturbed(&self.plant, &at.profile, &mut self.stream));
-            let mut tried = self.plant.try_out(changes.collect());
-            sort(&mut tried);
-            if let Some(better) = tried.into_iter().next().filter(|better| better.margin_m > at.margin_m) {
-                at = better;
-            }
-        }
-        at
     }
 }
 
@@ -155,4 +170,52 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
     let (one, other) = (one.iter().flatten(), other.iter().flatten());
     let (sum, count) = one.zip(other).fold((0.0, 0.0), |(sum, count), (a, b)| (sum + (a - b).abs(), count + 1.0));
     sum / f64::max(count, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{AvoidOptions, AvoidanceVerdict, FoundBy, Reason, avoid};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in};
+
+    /// A vehicle that cuts in 20 m/s slower, with so much time to collision.
+    fn cut_in(ttc_s: f64) -> Scenario {
+        let paper = built_in("paper-1").unwrap();
+        let changed = paper.edited(|spec| {
+            let profile = Driver::Profile(crumple_world::scenario::LeadProfile::ConstantSpeed);
+            let mut lead = VehicleSpec::new(VehicleClass::Light, 62.0, 10.0, profile);
+            lead.enters = Some(LaneChange::TimeToCollision(ttc_s));
+            spec.vehicles = vec![lead, VehicleSpec::new(VehicleClass::Light, 0.0, 30.0, Driver::UnderTest)];
+        });
+        changed.unwrap()
+    }
+
+    #[test]
+    fn a_cut_in_is_avoided_where_that_can_be() {
+        let found = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
+        let escape = found.verdict.escape().expect("20 m/s take 53 of 40 m and what is driven meanwhile");
+        assert!(escape.min_gap_m > 1.0 && found.min_gap_bound_m.is_none());
+        assert!(escape.scenario.vehicles()[0].enters.is_some());
+        // A driver that brakes at once never comes near the cut-in.
+        assert!(avoid(&cut_in(0.2), AvoidOptions::default()).unwrap().verdict.escape().is_some());
+    }
+
+    /// No program models these followers.
+    #[test]
+    fn any_follower_will_do_for_an_escape() {
+        let paper = built_in("paper-1").unwrap();
+        for follower in ["idm", "acc-aeb"] {
+            let behind = |gap_m: f64| {
+                let changed = paper.edited(|spec| {
+                    spec.vehicles[2].driver = Driver::Controller(ControllerSpec::named(follower).unwrap());
+                    spec.vehicles[1].position_m = spec.vehicles[0].position_m - 2.0 - gap_m;
+                    spec.vehicles[2].position_m = spec.vehicles[1].position_m - 20.0;
+                });
+                avoid(&changed.unwrap(), AvoidOptions::default()).unwrap().verdict
+            };
+            let verdict = behind(20.0);
+            assert!(verdict.escape().is_some_and(|escape| escape.min_gap_m > 0.0), "{follower}: {verdict:?}");
+            assert!(!matches!(behind(0.01), AvoidanceVerdict::Undecided(Reason::Replay)));
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::attack::Trial;
+use super::super::bench::Trial;
 use super::super::situation::delay_steps;
 use super::super::witness::{by_script, follow, pieces};
 use crumple_world::scenario::Scenario;
@@ -60,7 +60,8 @@ impl<'s> Plant<'s> {
     pub(super) fn new(scenario: &'s Scenario, cell: usize) -> Option<Self> {
         let indices: Vec<usize> =
             (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
-        let follow_each_other = indices.windows(2).all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
+        let follow_each_other =
+            indices.windows(2).all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
         let ego = |index: usize| {
             let vehicle = scenario.vehicles().get(index)?;
             let is_prompt = vehicle.actuator_lag_s == 0.0 && vehicle.jerk_limit_mps3.is_none();
@@ -88,8 +89,23 @@ impl<'s> Plant<'s> {
         self.scenario.steps().div_ceil(self.cell)
     }
 
+    pub(super) fn duration_s(&self) -> f64 {
+        self.scenario.spec().duration_s
+    }
+
     pub(super) fn cell_s(&self) -> f64 {
         self.cell as f64 * self.scenario.spec().step_s
+    }
+
+    /// The speed of a vehicle under test at the start, in m/s.
+    pub(super) fn first_speed_mps(&self, ego: usize) -> f64 {
+        let vehicle = self.egos.get(ego).and_then(|ego| self.scenario.vehicles().get(ego.index));
+        vehicle.map_or(0.0, |vehicle| vehicle.speed_mps)
+    }
+
+    /// Cells at the start in which no command of a vehicle under test has an effect yet.
+    pub(super) fn dead_cells(&self, ego: usize) -> usize {
+        self.egos.get(ego).map_or(0, |ego| ego.dead_steps.div_ceil(self.cell))
     }
 
     /// Lowest and highest acceleration of a vehicle under test, in m/s².
@@ -124,11 +140,14 @@ impl<'s> Plant<'s> {
         moved
     }
 
-    /// Simulates profiles; those that make no valid scenario are left out.
+    /// Simulates profiles; one that makes no valid scenario has an infinitely negative margin.
     pub(super) fn try_out(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
         let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| Trial::of(&simulated).margin_m);
-        let candidate = |(profile, margin_m): (Profile, Option<f64>)| Some(SimulatedProfile { profile, margin_m: margin_m? });
-        profiles.into_iter().zip(margins_m).filter_map(candidate).collect()
+        let tried = |(profile, margin_m): (Profile, Option<f64>)| SimulatedProfile {
+            profile,
+            margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),
+        };
+        profiles.into_iter().zip(margins_m).map(tried).collect()
     }
 
     /// Simulates profiles and samples the gaps between all vehicles.

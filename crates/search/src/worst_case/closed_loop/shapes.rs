@@ -1,92 +1,159 @@
-//! Simple profiles to start from, and random changes of a profile.
+//! Speed profiles of few knots: simple ones to start from, and random changes of them.
+//!
+//! Knots are speeds and not accelerations, so that a change of one knot leaves the speeds at the others as they are.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::plant::{CellBlock, Plant, Profile};
+use super::plant::{Plant, Profile};
 use crumple_world::random::Stream;
 
-/// When a shape begins to change its speed, in seconds.
+/// Times at which a simple shape begins to change its speed, in seconds.
 const BEGINS_S: [f64; 5] = [0.0, 0.5, 1.0, 2.0, 4.0];
+/// Shares of the hardest braking with which it does.
+const BRAKES: [f64; 6] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.15];
+/// Shares of its first speed that it reaches.
+const SPEEDS: [f64; 8] = [0.0, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85];
+/// Shares of that speed that it has at the end of the scenario; it stands at half the time if negative.
+const LAST_SPEEDS: [f64; 4] = [1.0, 0.5, 0.0, -1.0];
+/// Shares of the first speed that it reaches by accelerating.
+const HIGHER_SPEEDS: [f64; 3] = [1.05, 1.15, 1.3];
+/// Of brakings with an acceleration in between: the shares of the first speed after the first braking, the share that the
+/// acceleration adds, and shares of the hardest braking.
+const HALTS: [f64; 4] = [0.75, 0.5, 0.25, 0.1];
+const ADDED: [f64; 2] = [0.1, 0.25];
+const LAST_BRAKES: [f64; 3] = [1.0, 0.5, 0.1];
+/// Most knots of a vehicle.
+const MAX_KNOTS: usize = 12;
 
-/// Duration of its first acceleration, in seconds.
-const LASTS_S: [f64; 3] = [0.5, 1.5, 4.0];
+/// Knots of each vehicle under test: a time in seconds and the speed then, in m/s. Linear between them.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Shape(Vec<Vec<(f64, f64)>>);
 
-/// Its accelerations: shares of the hardest braking if negative, of the largest acceleration if positive.
-const SHARES: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.0, 0.5, 1.0];
-
-/// Ends of the first braking, in seconds, durations of the acceleration after it, and shares of the two brakings.
-const HALTS_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5];
-const BETWEEN_S: [f64; 4] = [0.4, 0.8, 1.5, 3.0];
-const BRAKINGS: [[f64; 2]; 6] = [[-1.0, -1.0], [-1.0, -0.5], [-0.6, -1.0], [-0.6, -0.5], [-0.3, -1.0], [-0.3, -0.5]];
-
-/// Simple profiles: pulses, steps and two-level profiles, and brakings with an acceleration in between, which make a follower
-/// slow down before the last one.
-pub(super) fn shapes(plant: &Plant<'_>) -> Vec<Profile> {
-    let levels = || SHARES.into_iter().flat_map(|first| SHARES.map(|then| [first, then]));
-    let two = BEGINS_S.into_iter().flat_map(|begins_s| {
-        LASTS_S.into_iter().flat_map(move |lasts_s| {
-            levels().map(move |[first, then]| vec![(begins_s, first), (begins_s + lasts_s, then)])
-        })
-    });
-    let one = BEGINS_S.into_iter().flat_map(|begins_s| SHARES.map(|share| vec![(begins_s, share)]));
-    let three = HALTS_S.into_iter().flat_map(|halt_s| {
-        BETWEEN_S.into_iter().flat_map(move |between_s| {
-            BRAKINGS.map(|[first, last]| vec![(0.0, first), (halt_s, 1.0), (halt_s + between_s, last)])
-        })
-    });
-    one.chain(two).chain(three).map(|pieces| shape(plant, &pieces)).collect()
-}
-
-/// The profile that holds a share of the limits from each of these times on, in seconds, and no acceleration before.
-fn shape(plant: &Plant<'_>, pieces: &[(f64, f64)]) -> Profile {
-    let of_ego = |ego: usize| {
-        let [low, high] = plant.limits_mps2(ego);
-        let at = |cell: usize| {
-            let time_s = (cell as f64 + 0.5) * plant.cell_s();
-            let share = pieces.iter().take_while(|(from_s, _)| *from_s <= time_s).last().map_or(0.0, |(_, share)| *share);
-            if share < 0.0 { -share * low } else { share * high }
-        };
-        (0..plant.cells()).map(at).collect()
-    };
-    (0..plant.egos()).map(of_ego).collect()
-}
-
-/// The profile with one to three random changes: an interval of one vehicle raised, lowered, levelled, or moved in time.
-pub(super) fn perturbed(plant: &Plant<'_>, profile: &Profile, stream: &mut Stream) -> Profile {
-    (0..stream.random_range(1..=3)).fold(profile.clone(), |profile, _| changed(plant, profile, stream))
-}
-
-fn changed(plant: &Plant<'_>, mut profile: Profile, stream: &mut Stream) -> Profile {
-    let all = plant.cells();
-    let ego = stream.random_range(0..plant.egos().max(1));
-    // Short and early intervals are as frequent as long and late ones.
-    let length = (all as f64).powf(stream.random::<f64>()).round() as usize;
-    let from = (all as f64 * stream.random::<f64>().powi(2)) as usize;
-    let from = from.min(all.saturating_sub(1));
-    let cells = from..(from + length.max(1)).min(all);
-    let normal: f64 = StandardNormal.sample(stream);
-    let [low, high] = plant.limits_mps2(ego);
-    let kind = stream.random_range(0..3);
-    if kind == 0 {
-        let size_mps2 = 10.0_f64.powf(stream.random_range(-1.5..0.6));
-        return plant.moved(&profile, &CellBlock { ego, cells }, size_mps2 * normal);
-    }
-    let level = match stream.random_range(0..5) {
-        0 => low,
-        1 => 0.0,
-        2 => high,
-        3 => stream.random_range(low..=0.0),
-        _ => stream.random_range(low..=high),
-    };
-    let changed = profile.get_mut(ego).and_then(|all| all.get_mut(cells));
-    match changed {
-        Some(changed) if kind == 1 => changed.fill(level),
-        Some(changed) => {
-            let shift = ((3.0 * normal).abs().ceil() as usize).min(changed.len());
-            if normal > 0.0 { changed.rotate_right(shift) } else { changed.rotate_left(shift) }
+/// Simple shapes: brakings to a lower speed that is kept, left slowly or left at once, accelerations, and two brakings with
+/// an acceleration in between, which make a follower slow down before the last one.
+pub(super) fn shapes(plant: &Plant<'_>) -> Vec<Shape> {
+    let duration_s = plant.duration_s();
+    let mut all = vec![vec![]];
+    for begins_s in BEGINS_S {
+        for (brake, speed) in BRAKES.into_iter().flat_map(|brake| SPEEDS.map(|speed| (brake, speed))) {
+            let slows = [Leg::Hold { until_s: begins_s }, Leg::Change { to: speed, share: brake }];
+            for last in LAST_SPEEDS.into_iter().take(if speed == 0.0 { 1 } else { LAST_SPEEDS.len() }) {
+                let (until_s, to) = if last < 0.0 { (0.5 * duration_s, 0.0) } else { (duration_s, last * speed) };
+                all.push(slows.into_iter().chain([Leg::Reach { until_s, to }]).collect());
+            }
         }
-        None => {}
+        for speed in HIGHER_SPEEDS {
+            all.push(vec![Leg::Hold { until_s: begins_s }, Leg::Change { to: speed, share: 1.0 }]);
+        }
     }
-    profile
+    for (halt, added) in HALTS.into_iter().flat_map(|halt| ADDED.map(|added| (halt, added))) {
+        for (first, last) in BRAKES.into_iter().take(4).flat_map(|first| LAST_BRAKES.map(|last| (first, last))) {
+            let [slows, speeds_up, stops] =
+                [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| Leg::Change { to, share });
+            all.push(vec![slows, speeds_up, stops]);
+        }
+    }
+    all.into_iter().map(|legs| Shape::new(plant, &legs)).collect()
+}
+
+/// Part of a simple shape. Speeds are shares of the first speed.
+#[derive(Debug, Clone, Copy)]
+enum Leg {
+    /// Keeps its speed until a time.
+    Hold { until_s: f64 },
+    /// Changes its speed with a share of the hardest braking or the largest acceleration.
+    Change { to: f64, share: f64 },
+    /// Changes its speed evenly until a time.
+    Reach { until_s: f64, to: f64 },
+}
+
+impl Shape {
+    fn new(plant: &Plant<'_>, legs: &[Leg]) -> Self {
+        let of_ego = |ego: usize| {
+            let ([low, high], first_mps) = (plant.limits_mps2(ego), plant.first_speed_mps(ego));
+            let mut knots = vec![(0.0, first_mps)];
+            let (mut now_s, mut speed_mps) = (0.0_f64, first_mps);
+            for leg in legs {
+                (now_s, speed_mps) = match *leg {
+                    Leg::Hold { until_s } => (now_s.max(until_s), speed_mps),
+                    Leg::Change { to, share } => {
+                        let to_mps = to * first_mps;
+                        let most_mps2 = share * if to_mps < speed_mps { -low } else { high };
+                        (now_s + (to_mps - speed_mps).abs() / most_mps2.max(1e-3), to_mps)
+                    }
+                    Leg::Reach { until_s, to } => (now_s.max(until_s), to * first_mps),
+                };
+                knots.push((now_s, speed_mps));
+            }
+            knots
+        };
+        Self((0..plant.egos()).map(of_ego).collect())
+    }
+
+    /// The acceleration in each cell, as near to the knots as the limits allow.
+    pub(super) fn profile(&self, plant: &Plant<'_>) -> Profile {
+        let of_ego = |(ego, knots): (usize, &Vec<(f64, f64)>)| {
+            let ([low, high], cell_s) = (plant.limits_mps2(ego), plant.cell_s());
+            let mut speed_mps = plant.first_speed_mps(ego);
+            let held = |cell: usize| {
+                let held_mps2 = match cell < plant.dead_cells(ego) {
+                    true => 0.0,
+                    false => ((speed_at(knots, (cell + 1) as f64 * cell_s) - speed_mps) / cell_s).clamp(low, high),
+                };
+                speed_mps += held_mps2 * cell_s;
+                held_mps2
+            };
+            (0..plant.cells()).map(held).collect()
+        };
+        self.0.iter().enumerate().map(of_ego).collect()
+    }
+
+    /// The shape with one to three random changes.
+    pub(super) fn changed(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
+        let mut changed = self.clone();
+        for _ in 0..stream.random_range(1..=3) {
+            let ego = stream.random_range(0..plant.egos().max(1));
+            if let Some(knots) = changed.0.get_mut(ego) {
+                change(knots, plant.duration_s(), stream);
+            }
+        }
+        changed
+    }
+}
+
+/// The speed between two knots, and after the last one, in m/s.
+fn speed_at(knots: &[(f64, f64)], time_s: f64) -> f64 {
+    let after = knots.partition_point(|(knot_s, _)| *knot_s <= time_s);
+    match (after.checked_sub(1).and_then(|before| knots.get(before)), knots.get(after)) {
+        (Some((from_s, from_mps)), Some((to_s, to_mps))) => {
+            from_mps + (to_mps - from_mps) * (time_s - from_s) / (to_s - from_s)
+        }
+        (Some((_, speed_mps)), None) | (None, Some((_, speed_mps))) => *speed_mps,
+        (None, None) => 0.0,
+    }
+}
+
+/// Changes a speed, a time, all later times, all speeds, or the number of knots.
+fn change(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Stream) {
+    let normal: f64 = StandardNormal.sample(stream);
+    // Small changes are as frequent as large ones.
+    let by = 10.0_f64.powf(stream.random_range(-2.0..0.8)) * normal;
+    let at = stream.random_range(0..knots.len().max(1));
+    let moved = |from_s: f64| (from_s + 0.5 * by).clamp(0.0, duration_s);
+    match stream.random_range(0..8) {
+        0..=2 => knots.iter_mut().skip(at).take(1).for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
+        3 => knots.iter_mut().skip(at).take(1).for_each(|(from_s, _)| *from_s = moved(*from_s)),
+        4 => knots.iter_mut().skip(at).for_each(|(from_s, _)| *from_s = moved(*from_s)),
+        5 => knots.iter_mut().skip(at).for_each(|(_, mps)| *mps = (*mps + by).max(0.0)),
+        6 if knots.len() > 2 => drop(knots.remove(at)),
+        _ if knots.len() < MAX_KNOTS => {
+            // Early times are more frequent.
+            let from_s = duration_s * stream.random::<f64>().powi(2);
+            let speed_mps = (speed_at(knots, from_s) + by).max(0.0);
+            knots.push((from_s, speed_mps));
+        }
+        _ => {}
+    }
+    knots.sort_by(|a, b| a.0.total_cmp(&b.0));
 }
