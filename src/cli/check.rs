@@ -100,7 +100,7 @@ impl Check {
                 Format::Json => checked::json(&all)
                     .and_then(|lines| Ok(lines + &checked::json_of_others(&others)?))
                     .map_err(Failure::input)?,
-                Format::Text => checked::text(&all, scenario.as_ref().map(|scenario| scenario.spec().name.as_str())),
+                Format::Text => checked::text(&all, self.scenario.as_deref()),
             },
         );
         let gate = match refusal(&all) {

@@ -260,7 +260,10 @@ impl Description {
         match actions.as_ref().or(self.answer_bounds.first()) {
             // Taken for accelerations.
             Some([Some(low), Some(high)]) if *low < -1.5 && *high <= 10.0 && low < high => {
-                format!("low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n")
+                format!(
+                    "# The limits of the network's answers are taken for m/s², a guess. Otherwise add scale_mps2 and offset_mps2.\n\
+                     low_mps2 = {low:?}\nhigh_mps2 = {high:?}\n"
+                )
             }
             Some([Some(low), Some(high)]) if low < high => {
                 let scale_mps2 = (most_mps2 - least_mps2) / (high - low);

@@ -47,7 +47,7 @@ pub(super) struct Export {
     /// counterexample is recorded with, `baseline` in built-in scenarios; needed in all other scenarios with a vehicle under test]
     #[arg(long, value_name = "C", value_parser = subject::controller)]
     controller: Option<NamedController>,
-    /// What the vehicles under test look through [default: as recorded with a counterexample, or else kalman]
+    /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
     #[arg(long, value_name = "ESTIMATOR", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: Option<EstimatorKind>,
     /// What happens when vehicles touch
@@ -197,7 +197,7 @@ impl Export {
         if self.what == What::Actions {
             return openscenario::actions(scenario, road).map_err(|error| failed(&error));
         }
-        // Where no vehicle is under test, any controller drives none.
+        // Without a vehicle under test, the controller has no effect.
         let (kind, estimator) = match driven {
             Some(driven) => (driven.controller.kind.clone(), driven.estimator),
             None => (ControllerSpec::Baseline(Default::default()).into(), EstimatorKind::default()),

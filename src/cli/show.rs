@@ -11,12 +11,13 @@ use crumple_search::suite::SHIPPED;
 use crumple_world::recording::map::BUILT_IN_MAPS;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
 use crumple_world::scenario::{Scenario, VehicleClass, built_in, built_in_names, file};
+use crumple_world::sim::NamedController;
 
 /// Print something built in as the file that a user could write
 #[derive(Args)]
 #[command(after_long_help = "\
 Save what is printed, change it, and pass the file where the name was passed. A vehicle class is printed as the lines of a vehicle in a \
-scenario file. If several kinds have something of one name, the first in the order of --kind is printed, and a note names the others.
+scenario file. A name may stand for several kinds, such as a scenario and a box. crumple prints the first in the order of --kind, and a note names the others.
 
 Examples:
   crumple show paper-1 > mine.toml && crumple simulate mine.toml
@@ -24,10 +25,10 @@ Examples:
   crumple show fast > mine.toml && crumple train --preset mine.toml --episodes 10
   crumple show openacc > mine.toml && crumple import platoon.csv --map mine.toml")]
 pub(super) struct Show {
-    /// Name of something built in; an unknown name is answered with all there are
+    /// Name of something built in; for an unknown name, crumple lists all names
     #[arg(value_name = "NAME")]
     name: String,
-    /// Kind of what is shown
+    /// Print only a file of this kind
     #[arg(long, value_enum)]
     kind: Option<BuiltInKind>,
 }
@@ -56,7 +57,7 @@ impl BuiltInKind {
         self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
-    /// Returns the names and the texts of all that there are of the kind.
+    /// Returns the name and the text of each built-in file of this kind.
     fn files(self) -> Result<Vec<(&'static str, String)>, Failure> {
         let owned = |(name, text): (&'static str, &str)| (name, text.to_owned());
         Ok(match self {
@@ -102,7 +103,10 @@ impl Show {
             }
         }
         let Some(((first, text), others)) = found.split_first() else {
-            let problem = format!("nothing of the name `{}` is built in; there are {}", self.name, known.join("; "));
+            let problem = match NamedController::find_built_in(&self.name) {
+                Some(_) => format!("`{}` is a built-in controller, which is no file (see `crumple list`)", self.name),
+                None => format!("there is no built-in file `{}`. Names: {}", self.name, known.join("; ")),
+            };
             return Err(Failure::Input(problem));
         };
         for (other, _) in others {

@@ -355,7 +355,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
     for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
         let (_, said) = with_leader(driver);
-        assert!(said.contains("is about paper-1"), "{said}");
+        assert!(said.contains("is about scripted.toml"), "{said}");
     }
     for (driver, why) in [
         (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
@@ -363,7 +363,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         (Driver::Controller(ControllerSpec::named("idm").unwrap()), "the leader must be scripted"),
     ] {
         let (code, said) = with_leader(driver);
-        assert!(code == 1 && said.contains("is NOT about paper-1: ") && said.contains(why), "{said}");
+        assert!(code == 1 && said.contains("is NOT about scripted.toml: ") && said.contains(why), "{said}");
     }
 
     // What is wrong is one line with file, line and field.

@@ -4,6 +4,7 @@ mod inputs;
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use crate::command_line::{code, crumple, folder};
@@ -223,7 +224,18 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     assert!(git(&["config", "core.fsmonitor", &marker]));
     // A later time stamp, so that git compares contents.
     fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"] ", "")).unwrap();
-    let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
-    assert!(code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
-    assert!(!folder.path().join(MARKER).exists());
+    let starts_nothing = || {
+        let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
+        assert!(code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
+        assert!(!folder.path().join(MARKER).exists());
+    };
+    starts_nothing();
+    // Git runs this hook when it refreshes the index, which it does if a time stamp alone has changed.
+    assert!(git(&["config", "--remove-section", "filter.evil"]) && git(&["config", "core.fsmonitor", "false"]));
+    let hook = folder.path().join(".git/hooks/post-index-change");
+    fs::create_dir_all(hook.parent().unwrap()).unwrap();
+    fs::write(&hook, format!("#!/bin/sh\n{marker}\n")).unwrap();
+    fs::set_permissions(&hook, PermissionsExt::from_mode(0o755)).unwrap();
+    fs::write(folder.path().join("a.toml"), inputs::assessed("controllers = [\"idm\"]", "")).unwrap();
+    starts_nothing();
 }

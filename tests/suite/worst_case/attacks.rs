@@ -160,7 +160,7 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             "{name}, {controller}: {} against {least_m2ps3}",
             found.effort_m2ps3
         );
-        // The pulse of issue 49, where 68.83 was called a local optimum.
+        // 68.83 was called a local optimum.
         assert!((name, controller) != ("paper-1", "idm") || found.effort_m2ps3 <= 60.32, "{}", found.effort_m2ps3);
     }
 }

@@ -27,7 +27,8 @@ pub enum Gate {
         /// The controller.
         controller: String,
     },
-    /// A controller collides in none of the random scenarios of a space that this assessment simulates. It does not look at searches.
+    /// A controller collides in none of the random scenarios of a space that this assessment simulates. A scenario that a collision of
+    /// other vehicles ends early counts against the controller. The gate does not look at searches.
     NoCollisionInSpace {
         /// The controller.
         controller: String,
@@ -287,7 +288,7 @@ fn no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: 
         })
     });
     let everyday = found.usefulness.as_ref().and_then(|all| all.tally(controller, space));
-    // Both begin with the same scenarios, so that the larger number contains the smaller.
+    // Both use the same seed: the larger sample contains the smaller one.
     let all = drawn.into_iter().chain(everyday).max_by_key(|tally| tally.scenarios);
     let Some(SpaceTally { scenarios: scenarios @ 1.., collisions, unanswered, cut_short }) = all else {
         return (false, "no random scenarios of it were simulated".to_owned());
@@ -299,7 +300,7 @@ fn no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: 
     if cut_short > 0 {
         because += &format!(", and {cut_short} end early in a collision of other vehicles");
     }
-    (collisions + unanswered == 0 && cut_short < scenarios, because)
+    (collisions + unanswered + cut_short == 0, because)
 }
 
 /// The strongest that is known, whether it was counted for a certificate or not.

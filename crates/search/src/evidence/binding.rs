@@ -72,7 +72,7 @@ pub enum Elsewhere {
     /// The scenario has vehicles or drivers that no such claim is about.
     #[error(transparent)]
     Scenario(#[from] super::InvalidBox),
-    /// The leader's script is none that the claim speaks of.
+    /// The claim does not cover the leader's script.
     #[error(transparent)]
     Script(#[from] ScriptBeyondLimit),
     /// Steps, duration or the driver behind differ.

@@ -3,7 +3,7 @@
 use crumple_verify::Interval;
 use crumple_world::scenario::{Driver, LeadProfile, Recorded, VehicleSpec};
 
-/// Why a leader's script is none of a leader that brakes within a limit, never speeds up and never reverses.
+/// Reason why a script breaks the limits of a claim: it speeds up, brakes too hard or starts at another speed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScriptBeyondLimit {
@@ -42,7 +42,7 @@ pub enum ScriptBeyondLimit {
 
 /// Checks that a scripted leader accelerates at every time of the scenario at a rate from -`limit_mps2` to 0.
 ///
-/// What a script asks for over a step is a mean of what it asks for within it, in real numbers. The simulator rounds that, as it rounds
+/// The acceleration of a step is the mean of the script's acceleration within the step. The simulator rounds that, as it rounds
 /// the motion of a leader with the plain script `brake`: by far less than the 10⁻⁹ m and m/s that every reach allows for.
 pub(super) fn keeps_within(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64) -> Result<(), ScriptBeyondLimit> {
     let Driver::Profile(profile) = &leader.driver else { return Err(ScriptBeyondLimit::NotScripted) };

@@ -37,6 +37,9 @@ pub struct Expected {
     /// Hash of the policy, if that is what it is: another policy of that name is another controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policy_sha256: Option<String>,
+    /// Identity of the controller, if name and policy do not determine it: of a network, a controller file or an FMU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller_sha256: Option<String>,
     /// What it looks through.
     pub estimator: EstimatorKind,
     /// What must hold: `no contact`, or a formula.
@@ -93,9 +96,11 @@ pub enum ReplayError {
     /// The controller.
     #[error(transparent)]
     Controller(#[from] UnknownController),
-    /// The policy is another one.
-    #[error("{scenario}: the verdict is on a policy with SHA-256 {expected}, and `{controller}` has {found}")]
-    OtherPolicy {
+    /// The controller is another one than the recorded one.
+    #[error(
+        "{scenario}: the recorded controller is not available: its SHA-256 is {expected}, and `{controller}` has {found}"
+    )]
+    OtherController {
         /// The scenario file.
         scenario: String,
         /// The controller's name.
@@ -146,10 +151,12 @@ impl Expected {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
         let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
-        if let (Some(Contrast::Against(other)), Some(ContrastRecord::Against { policy_sha256, .. })) =
-            (&contrast, &self.contrast)
+        if let (
+            Some(Contrast::Against(other)),
+            Some(ContrastRecord::Against { policy_sha256, controller_sha256, .. }),
+        ) = (&contrast, &self.contrast)
         {
-            self.check_policy(other, policy_sha256.as_ref())?;
+            self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
         }
         let specification = Specification::parse(&self.specification, &scenario)?;
         let judging = Judging {
@@ -178,25 +185,34 @@ impl Expected {
     /// Finds the controller that the verdict is about. A path starts at `folder`.
     ///
     /// # Errors
-    /// [`ReplayError`] if there is none, or if it is another policy of that name.
+    /// [`ReplayError`] if there is none, or if it is another controller of that name.
     pub fn find_controller(&self, folder: &Path) -> Result<NamedController, ReplayError> {
         let found = NamedController::find(&self.controller, folder)?;
-        self.check_policy(&found, self.policy_sha256.as_ref())?;
+        self.check_identity(&found, self.policy_sha256.as_ref(), self.controller_sha256.as_ref())?;
         Ok(found)
     }
 
-    /// Whether somebody is who the verdict is about.
-    fn check_policy(&self, found: &NamedController, expected: Option<&String>) -> Result<(), ReplayError> {
-        let digest = found.policy().map(|policy| policy.digest()).unwrap_or_default();
-        match expected {
-            Some(expected) if *expected != digest => Err(ReplayError::OtherPolicy {
-                scenario: self.scenario.clone(),
-                controller: found.name.clone(),
-                expected: expected.clone(),
-                found: digest,
-            }),
-            _ => Ok(()),
+    /// Checks that a controller has the recorded hashes. Records of earlier versions have none of a network.
+    fn check_identity(
+        &self,
+        found: &NamedController,
+        policy_sha256: Option<&String>,
+        controller_sha256: Option<&String>,
+    ) -> Result<(), ReplayError> {
+        let policy = policy_sha256.map(|expected| (expected, found.policy().map(|policy| policy.digest())));
+        let controller = controller_sha256.map(|expected| (expected, found.identity_beside_name()));
+        for (expected, own) in policy.into_iter().chain(controller) {
+            let own = own.unwrap_or_default();
+            if *expected != own {
+                return Err(ReplayError::OtherController {
+                    scenario: self.scenario.clone(),
+                    controller: found.name.clone(),
+                    expected: expected.clone(),
+                    found: own,
+                });
+            }
         }
+        Ok(())
     }
 }
 
@@ -207,11 +223,13 @@ impl Expected {
     /// [`ReplayError`] if something it names is not there or does not fit.
     pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
-        let policy_sha256 = NamedController::find(&self.controller, folder)?.policy().map(|policy| policy.digest());
+        let found = NamedController::find(&self.controller, folder)?;
+        let policy_sha256 = found.policy().map(|policy| policy.digest());
+        let controller_sha256 = found.identity_beside_name();
         let specification = Specification::parse(&self.specification, &scenario)?;
         let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
         let contrast = contrast.as_ref().map(Contrast::record);
-        let mut renewed = Self { policy_sha256, contrast, dt_fragile: false, ..self.clone() };
+        let mut renewed = Self { policy_sha256, controller_sha256, contrast, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
         let class = Avoidability::of(&specification, &verdict, &scenario);

@@ -240,6 +240,7 @@ impl Recorder<'_> {
                     scenario: file.to_owned(),
                     controller: terms.controller.clone(),
                     policy_sha256: policy.clone(),
+                    controller_sha256: terms.controller_sha256.clone(),
                     estimator: terms.estimator,
                     specification: self.terms.specification.to_string(),
                     violated: verdict.robustness < 0.0,

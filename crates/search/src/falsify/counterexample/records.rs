@@ -59,8 +59,8 @@ impl<'a> RecordedVerdicts<'a> {
         let mut first: Vec<&Expected> = Vec::new();
         for verdict in &self.verdicts {
             let is_known = |known: &&Expected| {
-                (&known.controller, &known.policy_sha256, known.estimator)
-                    == (&verdict.controller, &verdict.policy_sha256, verdict.estimator)
+                (&known.controller, &known.policy_sha256, &known.controller_sha256, known.estimator)
+                    == (&verdict.controller, &verdict.policy_sha256, &verdict.controller_sha256, verdict.estimator)
             };
             if !first.iter().any(is_known) {
                 first.push(verdict);
@@ -72,7 +72,7 @@ impl<'a> RecordedVerdicts<'a> {
     /// Returns the folders in which a controller of a verdict may lie: that of the record, and the current one where a hash tells whether
     /// the controller is the recorded one.
     pub fn places(&self, verdict: &Expected) -> impl Iterator<Item = PathBuf> {
-        let current = verdict.policy_sha256.as_ref().map(|_| PathBuf::new());
+        let current = verdict.policy_sha256.as_ref().or(verdict.controller_sha256.as_ref()).map(|_| PathBuf::new());
         iter::once(self.folder.clone()).chain(current)
     }
 }

@@ -151,8 +151,13 @@ pub fn fmu_host() -> Option<PathBuf> {
     }
     let name = format!("{HOST}{}", std::env::consts::EXE_SUFFIX);
     let own = std::env::current_exe().ok();
-    // Tests and examples lie in a folder of their own beside the programs.
-    let beside = own.iter().flat_map(|own| own.ancestors().skip(1).take(2));
+    // Cargo puts tests and examples into folders of their own beside the programs.
+    let is_of_cargo = |folder: &Path| folder.ends_with("deps") || folder.ends_with("examples");
+    let beside = own.iter().flat_map(|own| {
+        let folder = own.parent();
+        let above = folder.filter(|folder| is_of_cargo(folder)).and_then(Path::parent);
+        folder.into_iter().chain(above)
+    });
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders = beside.map(Path::to_owned).chain(std::env::split_paths(&path));
     folders.map(|folder| folder.join(&name)).find_map(absolute)
