@@ -432,7 +432,7 @@ fn a_follower_by_a_law_is_in_the_box_the_scope_and_the_assumptions() {
     let followed = followed.unwrap();
     std::fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
     let about = crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
-    assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
+    assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
 
     // Another law than that of the box.
     let genuine = read(folder.path(), "idm.json");

@@ -107,7 +107,7 @@ fn what_is_built_in_is_shown_as_a_file() {
     let unknown = crumple(folder.path(), &["show", "paper-4"]);
     assert_refused(
         &unknown,
-        "nothing of the name `paper-4` is built in; there are scenario: paper-1, paper-2, paper-3; space: paper,",
+        "there is no built-in file `paper-4`. Names: scenario: paper-1, paper-2, paper-3; space: paper,",
     );
     for name in ["fast", "fmvss-127", "car-following", "heavy"] {
         assert!(stderr(&unknown).contains(name), "{name}");
