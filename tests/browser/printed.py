@@ -47,7 +47,7 @@ def check(chromium, page, folder):
     """Prints a page, and ends the program with what is missing in the PDF."""
     pdf = folder / "printed.pdf"
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-pdf-header-footer", f"--user-data-dir={folder}/profile"]
-    subprocess.run([chromium, *options, f"--print-to-pdf={pdf}", page.resolve().as_uri()], check=True, capture_output=True, timeout=240)
+    subprocess.run([chromium, *options, f"--print-to-pdf={pdf}", page.resolve().as_uri()], check=True, capture_output=True, timeout=900)
     printed = subprocess.run(["pdftotext", "-raw", pdf, "-"], check=True, capture_output=True, text=True).stdout
     parser = Texts()
     parser.feed(page.read_text())
