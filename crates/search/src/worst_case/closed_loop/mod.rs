@@ -174,7 +174,7 @@ fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{AvoidOptions, AvoidanceVerdict, FoundBy, Reason, avoid};
+    use super::super::{AvoidOptions, AvoidanceVerdict, Reason, avoid};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleClass, VehicleSpec, built_in};
 
