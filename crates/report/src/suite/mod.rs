@@ -17,6 +17,7 @@ pub use map::{map_html, map_text};
 pub use map_figure::map_figure;
 pub use page::html;
 pub use table::table;
+use words::headline;
 pub(crate) use words::{least_margins, preventable, verdict, within_in_words};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
@@ -54,7 +55,7 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
     for tested in &test.controllers {
         let points =
             if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };
-        let _ = writeln!(out, "    {}: {}{points}", Terminal(&tested.controller), Terminal(&verdict(&tested.verdict)));
+        let _ = writeln!(out, "    {}: {}{points}", Terminal(&tested.controller), Terminal(&headline(tested)));
         for line in least_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }

@@ -2,7 +2,7 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::words::{allowed, least_margins, prevention, verdict, within_in_words};
+use super::words::{allowed, headline, least_margins, prevention, verdict, within_in_words};
 use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
 use crate::units::without_breaks_before_units;
@@ -103,7 +103,7 @@ impl Page<'_> {
                 thead { tr { @for name in ["controller", "verdict", "margins", "worst that the clause allows"] { th scope="col" { (name) } } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
-                    td.judged.(class(tested)) { (sign(tested)) (verdict(&tested.verdict)) (points(tested)) }
+                    td.judged.(class(tested)) { (sign(tested)) (headline(tested)) (points(tested)) }
                     td.wide { @for line in least_margins(&tested.margins) { p { (line) } } }
                     td.wide { @if let Some(within) = &tested.within { (within_in_words(within)) } @else { "–" } }
                 } } }

@@ -1,6 +1,8 @@
 //! What a run of a suite found, in words.
 
-use crumple_search::suite::{Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Within};
+use crumple_search::suite::{
+    Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Tested, Within,
+};
 
 /// A verdict in words.
 pub(crate) fn verdict(verdict: &TestVerdict) -> String {
@@ -11,6 +13,16 @@ pub(crate) fn verdict(verdict: &TestVerdict) -> String {
         }
         TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
+    }
+}
+
+/// Returns the verdict of a test in words. A test that passes at every stated point fails if the search within the clause fails.
+pub(super) fn headline(tested: &Tested) -> String {
+    match &tested.within {
+        Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
+            format!("FAILED within the ranges of the clause, though every stated point passes: {}", verdict(&within.verdict))
+        }
+        _ => verdict(&tested.verdict),
     }
 }
 

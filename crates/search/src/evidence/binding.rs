@@ -76,7 +76,7 @@ pub enum Elsewhere {
     #[error(transparent)]
     Script(#[from] ScriptBeyondLimit),
     /// Steps, duration or the driver behind differ.
-    #[error("its step, its duration or its follower's driver differs from the statement")]
+    #[error("the time step, the duration or the follower's driver of the scenario differs from that of the statement")]
     OtherRun,
     /// The policy is missing, or asks for more than the vehicle under test can do.
     #[error("its vehicle under test cannot do all that the policy asks for")]

@@ -67,7 +67,7 @@ impl Starts {
             ([], None) => (None, None),
             ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER, "has no meaning where nobody is behind")),
             ([follower], in_place) => of_follower(follower, in_place.as_ref())?,
-            _ => return Err(wrong("has too many vehicles")),
+            _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
         };
         let step_s = scenario.spec().step_s;
         let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));

@@ -20,7 +20,7 @@ pub struct ParseError {
 #[non_exhaustive]
 pub enum SyntaxProblem {
     /// A character that has no meaning here.
-    #[error("`{found}` means nothing in a formula: {OPERATORS}")]
+    #[error("`{found}` has no meaning in a formula: {OPERATORS}")]
     Character {
         /// The character.
         found: char,
@@ -32,7 +32,7 @@ pub enum SyntaxProblem {
         found: String,
     },
     /// A word where only an operator can stand.
-    #[error("`{word}` is no operator: {OPERATORS}")]
+    #[error("`{word}` is not an operator: {OPERATORS}")]
     UnknownOperator {
         /// The word.
         word: String,
@@ -46,7 +46,7 @@ pub enum SyntaxProblem {
         found: String,
     },
     /// A sum where a formula is needed.
-    #[error("this is a sum of signals, and a formula is needed: compare it with something")]
+    #[error("this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}")]
     SumNotFormula,
     /// A formula where a sum is needed.
     #[error("this is a formula, and a sum of signals is needed")]
@@ -71,7 +71,7 @@ pub enum SyntaxProblem {
 }
 
 /// All operators, for errors.
-const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, `until[a,b]`, `<`, `<=`, `>` and `>=`";
+const OPERATORS: &str = "the operators are `not`, `and`, `or`, `implies`, `always[a,b]`, `eventually[a,b]`, `until[a,b]`, `<`, `<=`, `>` and `>=`; there is no equality, use `<=` and `>=`";
 
 /// Recursion is bounded, so that no text can exhaust the stack.
 const MAX_DEPTH: usize = 64;

@@ -83,8 +83,12 @@ fn check_dimension(
     if unit == wanted || (unit == Dimension::NONE && scale != 1.0) {
         return Ok(());
     }
-    let hint = if unit == Dimension::NONE { format!("; a plain number needs a `{field}`") } else { String::new() };
-    Err(format!("{} ({unit} in SI units), and {what} is in {wanted}{hint}", stated(variable)))
+    let hint = if unit == Dimension::NONE {
+        format!("a plain number needs a `{field}`")
+    } else {
+        "choose another variable, or correct its unit in modelDescription.xml".to_owned()
+    };
+    Err(format!("{} ({unit} in SI units), and {what} is in {wanted}; {hint}", stated(variable)))
 }
 
 /// Checks that a scale does not convert to a unit a second time.
