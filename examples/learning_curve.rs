@@ -11,8 +11,8 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::process::ExitCode;
 
-use crumple_learn::rl::{LearningCurve, PERFECT};
 use crumple_report::figures::{StatedConvergence, learning_curve_beside};
+use crumple_world::policy::{LearningCurve, PERFECT};
 
 /// A line of the table; what else it says is not drawn.
 #[derive(serde::Deserialize)]

@@ -1,7 +1,7 @@
 //! `crumple assess`: gather the evidence and write the report.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 use std::{fs, process};
 
 use clap::Args;
@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
-use super::{Failure, interrupt, progress, subject};
+use super::{Failure, interrupt, progress, subject, utc};
 use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, Made, MergedEvidence, REPORT,
     Store, StoreError, assess, gather_shard,
@@ -284,7 +284,7 @@ fn made(folder: &Path, program_sha256: &str, took: Duration) -> Made {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let (system, processor) = (std::env::consts::OS, std::env::consts::ARCH);
     Made {
-        at: chrono::Utc::now().to_rfc3339_opts(chrono::SecondsFormat::Secs, true),
+        at: utc::rfc_3339(SystemTime::now()),
         commit: commit(folder),
         program_sha256: program_sha256.to_owned(),
         machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),

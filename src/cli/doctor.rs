@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use clap::Args;
 use serde::Serialize;
 
+use super::feature::{FEATURES, Feature};
 use super::simulate::Format;
 use super::{Failure, output};
 
@@ -31,6 +32,8 @@ struct Report {
     threads: usize,
     /// SHA-256 of the program: interrupted work is gone on with by the same one alone.
     program_sha256: Option<&'static str>,
+    /// Optional features of the build.
+    features: [Feature; 3],
     needs: Vec<Need>,
 }
 
@@ -56,6 +59,7 @@ impl Doctor {
             fused_multiply_add: crumple_world::policy::fuses_multiply_add(),
             threads: rayon::current_num_threads(),
             program_sha256: crumple_search::program::identity().ok(),
+            features: FEATURES,
             needs: needs(),
         };
         let text = match self.format {
@@ -80,6 +84,11 @@ impl Report {
         if !fused_multiply_add {
             text +=
                 "  multiplying and adding in one operation is missing here: networks are slow, with the same results\n";
+        }
+        for feature in &self.features {
+            let Feature { name, used_for, enabled } = feature;
+            let state = if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.command()) };
+            let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
         }
         text += "  all that crumple does works by itself; with it work\n";
         for Need { name, found, used_for, install } in &self.needs {

@@ -22,7 +22,7 @@ use crumple_world::sim::NamedController;
 #[derive(Args)]
 #[command(after_long_help = "\
 The method and two reference searches (uniform points, a Halton sequence) get the same budget each. Failures are replayed at the \
-scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as Parquet \
+scenario's step and at a tenth of it, shrunk, told apart and ranked. The folder holds every evaluation as compressed CSV \
 (`evaluations/`), each distinct failure as a scenario file (`counterexamples/`) and a summary. A campaign that was \
 interrupted, by `kill -9` too, goes on with --resume and ends with the same bytes. `work.json` says of every file what it is: one that \
 was cut, edited, moved or left over is named, and nothing goes on. That is no protection against somebody who writes both anew.
@@ -148,7 +148,7 @@ impl Expectation {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum LogName {
-    /// All of it, as rows of Parquet files
+    /// Every evaluation, as a row of a compressed CSV file
     Full,
     /// Nothing: the summary and the counterexamples alone
     Summary,

@@ -10,8 +10,8 @@ use serde::Serialize;
 use super::Failure;
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::Format;
-use super::{output, simulate};
-use crumple_report::draw::{PNG_SCALE, Svg};
+use super::{feature, output, simulate};
+use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_search::disk::{DiskError, Files};
 use crumple_world::quoted::Terminal;
@@ -142,7 +142,7 @@ pub(super) fn min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, Failure> {
 /// A picture as the file's name wants it: PNG, or else SVG.
 pub(super) fn picture(drawn: &Svg, path: &Path) -> Result<Vec<u8>, Failure> {
     match path.extension() {
-        Some(png) if png == "png" => drawn.to_png(PNG_SCALE).map_err(Failure::input),
+        Some(png) if png == "png" => feature::png(drawn),
         _ => Ok(drawn.document().into_bytes()),
     }
 }

@@ -10,11 +10,16 @@ mod cruise;
 mod describe;
 mod describe_fmu;
 mod doctor;
+#[cfg(feature = "explore")]
+mod explore;
+#[cfg(not(feature = "explore"))]
+#[path = "explore_missing.rs"]
 mod explore;
 mod export;
 mod exposed;
 mod failure;
 mod falsify;
+mod feature;
 mod finding;
 mod fit;
 mod fsck;
@@ -40,6 +45,7 @@ mod suite;
 mod suite_folder;
 mod suite_map;
 mod train;
+mod utc;
 mod verify;
 mod worst_case;
 

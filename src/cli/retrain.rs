@@ -8,8 +8,11 @@ use indicatif::ProgressBar;
 use super::preset::{Preset, RETRAIN};
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
-use crumple_learn::retrain::{Progress, Report, RetrainError, RetrainingPlan, Settings, training_preset};
+use crumple_learn::retrain::{
+    Checkpoint, Progress, Report, RetrainError, RetrainingPlan, Round, Settings, training_preset,
+};
 use crumple_learn::rl::TrainingConfig;
+use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, retraining};
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -118,7 +121,7 @@ impl Retrain {
                 judged: self.judge,
                 ..Settings::default()
             },
-            picture: |report| crumple_report::figures::retraining(report).document(),
+            picture,
         };
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
@@ -147,6 +150,26 @@ fn as_named(error: RetrainError, preset: &str) -> RetrainError {
 }
 
 /// Rounds were made and none was accepted: the policy is the first one.
+/// Draws the picture of the report.
+fn picture(report: &Report) -> String {
+    let round = |round: &Round| {
+        let trained = &round.trained;
+        let checkpoint = |checkpoint: &Checkpoint| {
+            Some(SelectedCheckpoint {
+                episode: checkpoint.episode.saturating_sub(trained.from_episode),
+                contacts: checkpoint.contacts?,
+                is_candidate: checkpoint.episode == trained.best_episode,
+            })
+        };
+        RetrainingRound {
+            episodes: report.settings.episodes,
+            checkpoints: trained.checkpoints.iter().filter_map(checkpoint).collect(),
+            is_accepted: round.acceptance.is_accepted(),
+        }
+    };
+    retraining(&report.rounds.iter().map(round).collect::<Vec<_>>()).document()
+}
+
 fn gate(report: &Report) -> Result<(), Failure> {
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 
 use super::output;
 use super::simulated::{Judged, Report, braking_without_cause, describe, lane_changes, left_behind};
-use super::{Failure, choice, subject};
-use crumple_report::draw::{self, Layout, MotionFigure, PNG_SCALE};
+use super::{Failure, choice, feature, subject};
+use crumple_report::draw::{self, Layout, MotionFigure};
 use crumple_report::export;
 use crumple_search::disk::Files;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecords};
@@ -204,8 +204,8 @@ impl Simulate {
             }
             if let Some(path) = &self.trace {
                 let is_csv = extension(path) == Some("csv");
-                let table = if is_csv { export::csv(trace) } else { export::parquet(trace) };
-                files.push((named(path, name), table.map_err(Failure::input)?));
+                let table = if is_csv { export::csv(trace).map_err(Failure::input) } else { feature::parquet(trace) };
+                files.push((named(path, name), table?));
             }
         }
         Ok(Rendered {
@@ -326,16 +326,18 @@ pub(super) fn picture(
     let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
     let picture = draw::motion(&figure, Layout::Wide);
     match extension(path) {
-        Some("png") => picture.to_png(PNG_SCALE).map_err(Failure::input),
+        Some("png") => feature::png(&picture),
         _ => Ok(picture.document().into_bytes()),
     }
 }
 
-/// A path that ends in one of two extensions, for clap.
+/// Parses a path that ends in one of two extensions, in a format that this build writes.
 pub(super) fn ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
     let [one, other] = extensions;
-    let known = extension(Path::new(path)).is_some_and(|found| extensions.contains(&found));
-    if known { Ok(PathBuf::from(path)) } else { Err(format!("must end in .{one} or .{other}")) }
+    match extension(Path::new(path)) {
+        Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| PathBuf::from(path)),
+        _ => Err(format!("must end in .{one} or .{other}")),
+    }
 }
 
 fn extension(path: &Path) -> Option<&str> {

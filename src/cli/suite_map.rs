@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::simulate::Format;
-use super::{Failure, choice, output, subject};
-use crumple_report::draw::PNG_SCALE;
+use super::{Failure, choice, feature, output, subject};
 use crumple_report::suite::{map_figure, map_html, map_text};
 use crumple_search::disk::Files;
 use crumple_search::suite::{CrashMap, MapProblem, MapSpec, Situation};
@@ -23,7 +22,7 @@ After the document, on a point-mass model in one lane: this is no certification.
 
 Examples:
   crumple suite map car-following --controller acc-aeb --controller policy --out following.svg
-  crumple suite map cut-in-time --controller idm --own-speed 130 --out cut-in.html --out cut-in.png
+  crumple suite map cut-in-time --controller idm --own-speed 130 --out cut-in.html --out cut-in.svg
   crumple suite map cut-in-gap --controller idm --cells 12x8 --format json")]
 pub(super) struct MapCommand {
     /// What is driven
@@ -81,7 +80,10 @@ impl Picture {
     fn of(path: &str) -> Result<Self, String> {
         let kind = match Path::new(path).extension().and_then(|ending| ending.to_str()) {
             Some("svg") => PictureKind::Svg,
-            Some("png") => PictureKind::Png,
+            Some("png") => {
+                feature::PNG.require()?;
+                PictureKind::Png
+            }
             Some("html") => PictureKind::Html,
             Some("json") => PictureKind::Json,
             _ => return Err("must end in .svg, .png, .html or .json".to_owned()),
@@ -131,7 +133,7 @@ impl Picture {
     fn render(&self, map: &CrashMap) -> Result<Vec<u8>, Failure> {
         Ok(match self.kind {
             PictureKind::Svg => map_figure(map).document().into_bytes(),
-            PictureKind::Png => map_figure(map).to_png(PNG_SCALE).map_err(Failure::input)?,
+            PictureKind::Png => feature::png(&map_figure(map))?,
             PictureKind::Html => map_html(map).into_bytes(),
             PictureKind::Json => json(map)?.into_bytes(),
         })

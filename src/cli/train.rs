@@ -12,8 +12,8 @@ use super::preset::Preset;
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::rl::{
-    ConfigError, Event, GatherError, HeldOut, LearningCurve, MergedTrainings, SeedResult, SpaceShare, TrainingConfig,
-    TrainingError, TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, seed_folder, side_by_side,
+    ConfigError, Event, GatherError, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
+    TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
 };
 use crumple_search::disk;
 use crumple_search::shard::{MissingShards, Shard, as_array};
@@ -221,7 +221,7 @@ fn results_folder(out: &Path) -> Result<OutputFolder, Failure> {
 fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
     let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(out, config)?.into_iter().unzip();
     let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
-    let curve = LearningCurve::from_logs(&config.name, &logs);
+    let curve = learning_curve(&config.name, &logs);
     let contents = [
         serde_json::to_string_pretty(&all).map_err(Failure::input)? + "\n",
         serde_json::to_string_pretty(&curve).map_err(Failure::input)? + "\n",

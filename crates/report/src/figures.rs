@@ -7,8 +7,7 @@ use maud::html;
 pub use fitted::fitted;
 
 use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg, extent, padded};
-use crumple_learn::retrain::Report;
-use crumple_learn::rl::{CurvePoint, LearningCurve, PERFECT};
+use crumple_world::policy::{CurvePoint, LearningCurve, PERFECT};
 use crumple_world::recording::{Hardest, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
@@ -86,25 +85,44 @@ fn in_thousands(reward: f64) -> String {
     format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
-/// Contacts in the selection over episodes; a ring is a candidate, a vertical line the end of a round.
+/// A round of a retraining, for [`retraining`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct RetrainingRound {
+    /// Episodes of training, at most.
+    pub episodes: u64,
+    /// Checkpoints that touched no vehicle in the paper's scenarios and draws, in order.
+    pub checkpoints: Vec<SelectedCheckpoint>,
+    /// True if the candidate of the round was accepted.
+    pub is_accepted: bool,
+}
+
+/// A checkpoint as the selection of a retraining judged it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SelectedCheckpoint {
+    /// Episodes of the round before it.
+    pub episode: u64,
+    /// Contacts in the avoidable draws of the selection.
+    pub contacts: u64,
+    /// True for the checkpoint that the round proposed.
+    pub is_candidate: bool,
+}
+
+/// Draws contacts in the selection over episodes. A ring marks a candidate, a vertical line the end of a round.
 #[must_use]
-pub fn retraining(report: &Report) -> Svg {
+pub fn retraining(rounds: &[RetrainingRound]) -> Svg {
     let (mut done, mut points, mut candidates, mut ends) = (0, Vec::new(), Vec::new(), Vec::new());
-    for round in &report.rounds {
-        let trained = &round.trained;
-        // Episodes are counted on over learners that began anew.
-        let place = |episode: u64| (done + episode.saturating_sub(trained.from_episode)) as f64;
-        for checkpoint in &trained.checkpoints {
-            if let Some(contacts) = checkpoint.contacts {
-                points.push((place(checkpoint.episode), contacts as f64));
-                if checkpoint.episode == trained.best_episode {
-                    candidates.push((place(checkpoint.episode), contacts as f64));
-                }
+    for (round, number) in rounds.iter().zip(1..) {
+        for checkpoint in &round.checkpoints {
+            // Episodes are counted on, even after a learner that began anew.
+            let point = ((done + checkpoint.episode) as f64, checkpoint.contacts as f64);
+            points.push(point);
+            if checkpoint.is_candidate {
+                candidates.push(point);
             }
         }
-        let word = if round.acceptance.is_accepted() { "accepted" } else { "rejected" };
-        done += report.settings.episodes;
-        ends.push((done as f64, format!("round {} {word}", round.round)));
+        let word = if round.is_accepted { "accepted" } else { "rejected" };
+        done += round.episodes;
+        ends.push((done as f64, format!("round {number} {word}")));
     }
     let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
     let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };

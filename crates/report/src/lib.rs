@@ -12,6 +12,7 @@ pub mod assessment;
 pub mod draw;
 pub mod export;
 pub mod figures;
+mod junit;
 mod markdown;
 pub mod suite;
 mod units;

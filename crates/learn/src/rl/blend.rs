@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use rand::RngExt;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::config::ConfigError;
@@ -26,7 +25,8 @@ const ONE_WEIGHT: &str = "give it one weight";
 const MOST_SPACES: usize = 32;
 
 /// One space of a training.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SpaceShare {
     /// A built-in space, or a space file: from the folder that `crumple` runs in.

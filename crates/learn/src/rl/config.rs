@@ -3,11 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::blend::{self, SpaceShare};
-use super::limits::PENALTIES;
 use super::observation::ObservationConfig;
 use super::privileged::PRIVILEGED;
 use super::replay::Remembered;
@@ -29,14 +27,15 @@ pub const TRAINING_VERSION: u32 = 1;
 /// let fast = TrainingConfig::preset("fast").unwrap();
 /// assert_eq!(fast.network.hidden, [64, 64, 64]);
 /// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct TrainingConfig {
     /// Version of the format: 1.
     pub version: u32,
     /// Name of the preset, which policies and tables state.
-    #[schemars(length(min = 1))]
+    #[cfg_attr(feature = "schema", schemars(length(min = 1)))]
     pub name: String,
     /// Episodes at most.
     pub episodes: u64,
@@ -60,7 +59,8 @@ pub struct TrainingConfig {
 }
 
 /// The Markov decision process (paper, section "Markov decision process").
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct EnvironmentConfig {
@@ -90,7 +90,8 @@ pub struct EnvironmentConfig {
 }
 
 /// What the end of an episode's time means.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum TimeLimit {
@@ -101,7 +102,8 @@ pub enum TimeLimit {
 }
 
 /// Shapes and first weights.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct NetworkConfig {
@@ -113,7 +115,8 @@ pub struct NetworkConfig {
 }
 
 /// The update.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct LearningConfig {
@@ -139,12 +142,12 @@ pub struct LearningConfig {
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
     #[serde(deserialize_with = "single")]
-    #[schemars(extend("anyOf" = penalties()))]
+    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalties())))]
     pub saturation_penalty: f32,
     /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
     /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
     #[serde(default, skip_serializing_if = "is_nothing", deserialize_with = "single")]
-    #[schemars(extend("anyOf" = penalties()))]
+    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalties())))]
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -159,8 +162,9 @@ impl LearningConfig {
 }
 
 /// Of the schema: a penalty is none, or one that does something.
+#[cfg(feature = "schema")]
 fn penalties() -> serde_json::Value {
-    let [least, most] = PENALTIES;
+    let [least, most] = super::limits::PENALTIES;
     serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
 }
 
@@ -176,7 +180,8 @@ fn is_nothing(weight: &f32) -> bool {
 
 /// Step sizes that fall in a straight line from the end of the random episodes on: a training that goes to and fro around what is
 /// good comes to rest there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RatesFall {
     /// Episode from which on they fall no further. It does not depend on how many episodes there are, so that a training that goes on
@@ -196,7 +201,8 @@ impl RatesFall {
 }
 
 /// Noise on actions.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ExplorationConfig {
@@ -212,7 +218,8 @@ pub struct ExplorationConfig {
 }
 
 /// The memory of transitions.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ReplayConfig {
@@ -223,7 +230,8 @@ pub struct ReplayConfig {
 }
 
 /// TD3's three changes to DDPG.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Td3Config {
     /// Two critics, the smaller of which is believed.
@@ -239,7 +247,8 @@ pub struct Td3Config {
 }
 
 /// Held-out scenarios and when training is done.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct EvaluationConfig {
@@ -266,6 +275,7 @@ fn is_zero(count: &u64) -> bool {
 }
 
 /// JSON Schema of a training configuration.
+#[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(TrainingConfig).to_value()

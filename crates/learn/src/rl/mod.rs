@@ -34,11 +34,13 @@ mod useful;
 
 pub use adam::Adam;
 pub use blend::{SpaceShare, WeightedSpaces};
+#[cfg(feature = "schema")]
+pub use config::json_schema;
 pub use config::{
     ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
-    RatesFall, ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig, json_schema,
+    RatesFall, ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
-pub use curve::{CurvePoint, LearningCurve, PERFECT, episode_of};
+pub use curve::{episode_of, learning_curve};
 pub use environment::{Consequence, Ending, Episode, Terms, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};

@@ -1,6 +1,5 @@
 //! What the agent sees: which of the paper's eight numbers, and how they are made to be of order one.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::config::ConfigError;
@@ -10,9 +9,10 @@ use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
 ///
 /// The default is the paper's eight numbers (section "Markov decision process", paragraph S). The paper does not say how
 /// they are scaled; the scaling is ours. A policy file carries it ([`ObservationScaling`]), so that the policy drives alone.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[schemars(extend("if" = looks_at_intervals(), "then" = looks_back()))]
+#[cfg_attr(feature = "schema", schemars(extend("if" = looks_at_intervals(), "then" = looks_back())))]
 #[non_exhaustive]
 pub struct ObservationConfig {
     /// Scaled numbers are cut to plus and minus this.
@@ -32,10 +32,12 @@ pub struct ObservationConfig {
 }
 
 /// Of the schema: what says at which decisions it looks back must look back.
+#[cfg(feature = "schema")]
 fn looks_at_intervals() -> serde_json::Value {
     serde_json::json!({ "required": ["history_every"], "properties": { "history_every": { "minimum": 2 } } })
 }
 
+#[cfg(feature = "schema")]
 fn looks_back() -> serde_json::Value {
     serde_json::json!({ "required": ["history"], "properties": { "history": { "minimum": 2 } } })
 }
@@ -50,7 +52,8 @@ fn is_one(count: &u32) -> bool {
 }
 
 /// What is seen, and how each number is scaled; none for what is not.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Inputs {
@@ -81,7 +84,8 @@ pub struct Inputs {
 }
 
 /// `(x - offset) / scale`, both in the unit of the number.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Scale {
     /// Subtracted.

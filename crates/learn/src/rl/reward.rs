@@ -4,7 +4,6 @@
 //! anybody does, or stands in the road, earns all of it. [`CostConfig`] says what else counts; without it the reward is the
 //! paper's, to the last bit.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::config::EnvironmentConfig;
@@ -38,7 +37,8 @@ const MOST_WEIGHT: f64 = 100.0;
 /// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct CostConfig {

@@ -1,6 +1,5 @@
 //! The best escape found from a scenario, and how far a controller stays behind.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::work::Work;
@@ -10,7 +9,8 @@ use crumple_verify::{Accepted, Certificate, check};
 use crumple_world::scenario::{Scenario, file};
 
 /// Whether a contact was avoidable for any driver, and by how much.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Best {

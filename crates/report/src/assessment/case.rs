@@ -1,6 +1,5 @@
 //! One controller in one scenario: what is reported of it.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
@@ -17,7 +16,8 @@ use crumple_world::sim::{
 /// What came of one controller in one scenario.
 ///
 /// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Case {
     /// The controller's name.
     pub controller: String,
@@ -48,7 +48,8 @@ pub struct Case {
 }
 
 /// How a run ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum CaseVerdict {
@@ -79,7 +80,8 @@ pub enum CaseVerdict {
 pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 
 /// A contact with the numbers a report needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RoundedContact {
     /// When, in seconds.
     pub time_s: Rounded<2>,
@@ -92,7 +94,8 @@ pub struct RoundedContact {
 }
 
 /// Measures of one vehicle towards the one ahead of it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Towards {
     /// Smallest gap, in metres.
     pub min_gap_m: Option<Rounded<2>>,
@@ -115,7 +118,8 @@ pub struct Towards {
 }
 
 /// The crash when it is played to its end, vehicles sticking together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PileUp {
     /// Impacts.
     pub impacts: usize,

@@ -8,7 +8,6 @@ use std::ffi::OsStr;
 use std::fmt;
 use std::path::Path;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::parts::scenario_file;
@@ -23,14 +22,16 @@ use crumple_world::scenario::{controller_file, file};
 use crumple_world::sim::ControllerKind;
 
 /// A command line of crumple; its arguments by themselves, its text quoted for a shell.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
 pub struct Command {
     arguments: Vec<String>,
 }
 
 /// A file that commands of a report need.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CommandFile {
     /// Where it lies, from the folder of the report.
     pub file: String,

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::gate::Gate;
@@ -15,9 +14,10 @@ use crumple_world::scenario::file::FileError;
 pub const CONFIG_VERSION: u32 = 1;
 
 /// The configuration as a file states it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[schemars(rename = "Assessment", title = "crumple assessment, version 1")]
+#[cfg_attr(feature = "schema", schemars(rename = "Assessment", title = "crumple assessment, version 1"))]
 #[non_exhaustive]
 pub struct AssessConfig {
     /// Version of the file format: 1.
@@ -76,7 +76,8 @@ pub struct AssessConfig {
 }
 
 /// How failures are searched for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct SearchConfig {
@@ -99,7 +100,8 @@ impl Default for SearchConfig {
 }
 
 /// How failures are counted for a certificate: on draws of each of `distributions`, with a seed of their own.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[non_exhaustive]
 pub struct RatesConfig {

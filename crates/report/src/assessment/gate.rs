@@ -2,7 +2,6 @@
 
 use std::convert::Infallible;
 
-use schemars::JsonSchema;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -13,7 +12,8 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::sim::Unanswered;
 
 /// Something that must hold.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum Gate {
@@ -94,7 +94,7 @@ pub enum Gate {
     NothingWorse {},
     /// A former name, which no configuration may have any more.
     #[doc(hidden)]
-    #[schemars(skip)]
+    #[cfg_attr(feature = "schema", schemars(skip))]
     #[serde(rename = "no-contact-in-traffic", skip_serializing, deserialize_with = "refuse_former_name")]
     NoContactInTraffic(Infallible),
 }
@@ -120,7 +120,8 @@ pub(super) struct SpaceTally {
 }
 
 /// What came of a gate.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GateResult {
     /// What must hold.
     pub gate: String,

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::AssessConfig;
@@ -14,7 +13,8 @@ use crumple_world::sim::NamedController;
 const MOST_SUITES: usize = 20;
 
 /// A suite of tests after a regulation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a suite: a table of `suite` and `controllers`")]
 #[non_exhaustive]
 pub struct SuiteConfig {

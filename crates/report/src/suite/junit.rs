@@ -1,53 +1,40 @@
-//! A run of a suite in the form that build servers read.
-
-use quick_junit::{NonSuccessKind, Property, Report, SerializeError, TestCase, TestCaseStatus, TestSuite};
+//! Result of a suite in the form that build servers read.
 
 use super::words::{least_margins, verdict, within_in_words};
+use crate::junit::{self, Case, Status, Suite};
 use crumple_search::suite::{SuiteResult, TestResult, TestVerdict, Tested};
-use crumple_world::quoted::Lines;
 
-/// What cannot be written as JUnit.
-pub type JunitError = SerializeError;
-
-/// Every test and controller as a test case: a contact is a failure, a controller that fails an error, what cannot be run is skipped.
-///
-/// # Errors
-/// [`JunitError`] if the XML cannot be written.
-pub fn xml(result: &SuiteResult) -> Result<String, JunitError> {
-    let mut report = Report::new("crumple suite");
-    for clause in &result.clauses {
-        let mut suite = TestSuite::new(format!("{} {}", result.suite, clause.clause));
-        suite.add_property(Property::new("statement", result.statement));
-        suite.add_property(Property::new("document", format!("{}, {}", result.document, result.edition)));
-        for test in &clause.tests {
-            for tested in &test.controllers {
-                suite.add_test_case(case(test, tested));
-            }
+/// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
+/// cannot run is skipped.
+#[must_use]
+pub fn xml(result: &SuiteResult) -> String {
+    let suites = result.clauses.iter().map(|clause| {
+        let document = format!("{}, {}", result.document, result.edition);
+        let tests = clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| case(test, tested)));
+        Suite {
+            name: format!("{} {}", result.suite, clause.clause),
+            properties: vec![("statement".to_owned(), result.statement.to_string()), ("document".to_owned(), document)],
+            cases: tests.collect(),
         }
-        report.add_test_suite(suite);
-    }
-    Ok(Lines(&report.to_string()?).to_string())
+    });
+    junit::xml("crumple suite", &suites.collect::<Vec<_>>())
 }
 
-fn case(test: &TestResult, tested: &Tested) -> TestCase {
+fn case(test: &TestResult, tested: &Tested) -> Case {
     let within = tested.within.as_ref().filter(|within| within.verdict.is_failure());
-    let mut status = match &tested.verdict {
-        TestVerdict::Passed if within.is_some() => TestCaseStatus::non_success(NonSuccessKind::Failure),
-        TestVerdict::Passed => TestCaseStatus::success(),
-        TestVerdict::Failed { .. } => TestCaseStatus::non_success(NonSuccessKind::Failure),
-        TestVerdict::ControllerFailed { .. } => TestCaseStatus::non_success(NonSuccessKind::Error),
-        TestVerdict::Refused { .. } => TestCaseStatus::skipped(),
-    };
-    match within {
-        _ if !tested.verdict.is_passed() => {
-            status.set_message(verdict(&tested.verdict));
-        }
-        Some(within) => {
-            status.set_message(within_in_words(within));
-        }
-        None => {}
+    Case {
+        name: format!("{}: {}", test.name, tested.controller),
+        status: match &tested.verdict {
+            TestVerdict::Passed if within.is_none() => Status::Passed,
+            TestVerdict::Passed | TestVerdict::Failed { .. } => Status::Failed,
+            TestVerdict::ControllerFailed { .. } => Status::Error,
+            TestVerdict::Refused { .. } => Status::Skipped,
+        },
+        message: match within {
+            _ if !tested.verdict.is_passed() => Some(verdict(&tested.verdict)),
+            Some(within) => Some(within_in_words(within)),
+            None => None,
+        },
+        output: least_margins(&tested.margins).join("\n"),
     }
-    let mut case = TestCase::new(format!("{}: {}", test.name, tested.controller), status);
-    case.set_system_out(least_margins(&tested.margins).join("\n"));
-    case
 }

@@ -12,7 +12,7 @@ use std::fmt::Write;
 use crumple_search::suite::{Failed, SuiteResult, TestResult, Tested};
 use crumple_world::quoted::Terminal;
 
-pub use junit::{JunitError, xml};
+pub use junit::xml;
 pub use map::{map_html, map_text};
 pub use map_figure::map_figure;
 pub use page::html;

@@ -2,13 +2,13 @@
 
 use std::fmt;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crumple_world::control::STANDARD_GRAVITY_MPS2;
 
 /// What a figure is about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Parameter {
@@ -29,7 +29,8 @@ pub enum Parameter {
 }
 
 /// A unit that documents use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum Unit {
     /// Kilometres an hour.
     #[serde(rename = "km/h")]
@@ -52,7 +53,8 @@ pub enum Unit {
 }
 
 /// Who says that a figure is so.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
     /// The document states every value.
@@ -64,11 +66,12 @@ pub enum Origin {
 }
 
 /// The values of a parameter, which together with those of others make a grid.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a figure: a table of values, unit and origin")]
 pub struct Figure {
     /// The values, increasing; 1 to 100 of them.
-    #[schemars(length(min = 1, max = 100))]
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub values: Vec<f64>,
     /// Their unit.
     pub unit: Unit,
@@ -83,7 +86,8 @@ pub struct Figure {
 }
 
 /// A value that a contact may have: the difference of the speeds up to which a test passes nevertheless.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "an impact speed: a table of value, unit and origin")]
 pub struct ImpactLimit {
     /// The difference of the speeds at the contact.
@@ -104,7 +108,8 @@ fn is_none(tolerance: &f64) -> bool {
 }
 
 /// The figures of a test.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a table of figures")]
 pub struct Figures {
     /// Speed of the vehicle under test at the start.

@@ -106,6 +106,7 @@ pub const NOT_SHIPPED: [(&str, &str); 1] = [(
 )];
 
 /// The JSON Schema of suite files.
+#[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {
     schemars::schema_for!(SuiteSpec).to_value()

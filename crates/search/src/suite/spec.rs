@@ -1,15 +1,15 @@
 //! A suite as a file states it.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::figure::{Figure, Figures, ImpactLimit, Origin, Parameter};
 use super::run::Criterion;
 
 /// A suite as a file states it: plain data that may hold nonsense.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a suite: a table of fields")]
-#[schemars(rename = "Suite", title = "crumple suite, version 1")]
+#[cfg_attr(feature = "schema", schemars(rename = "Suite", title = "crumple suite, version 1"))]
 pub struct SuiteSpec {
     /// Version of the file format: 1.
     pub version: u32,
@@ -30,12 +30,13 @@ pub struct SuiteSpec {
     #[serde(default)]
     pub left_out: Vec<String>,
     /// Its clauses; 1 to 100.
-    #[schemars(length(min = 1, max = 100))]
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub clauses: Vec<ClauseSpec>,
 }
 
 /// A clause and its tests.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a clause: a table of fields")]
 pub struct ClauseSpec {
     /// Its number in the document.
@@ -43,12 +44,13 @@ pub struct ClauseSpec {
     /// What it says, in short.
     pub says: String,
     /// Its tests; 1 to 100. A test passes if there is no contact before it ends, or none faster than it allows.
-    #[schemars(length(min = 1, max = 100))]
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub tests: Vec<TestSpec>,
 }
 
 /// A test of a clause: a situation and its figures, or the reason why there is none.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a test: a table of fields")]
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.
@@ -67,16 +69,17 @@ pub struct TestSpec {
     pub impact_at_most: Option<ImpactLimit>,
     /// Figures of which the document allows every value from the smallest to the largest: the worst point is searched for there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schemars(length(max = 7))]
+    #[cfg_attr(feature = "schema", schemars(length(max = 7)))]
     pub ranges: Vec<Parameter>,
     /// How it is pushed until it fails.
     #[serde(default)]
-    #[schemars(length(max = 10))]
+    #[cfg_attr(feature = "schema", schemars(length(max = 10)))]
     pub margins: Vec<Push>,
 }
 
 /// What the vehicle ahead does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Lead {
@@ -96,7 +99,8 @@ pub enum Lead {
 }
 
 /// A direction in which a test is made harder.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
 pub struct Push {
     /// What is pushed, from the value of the grid that is next to `to`.

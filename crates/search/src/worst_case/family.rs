@@ -1,12 +1,12 @@
 //! Boxes of scenarios: one scenario with ranges in place of some of its numbers.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec};
 
 /// Ranges as a file states them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Ranges {
     /// Version of the file format: 1.
@@ -16,7 +16,8 @@ pub struct Ranges {
 }
 
 /// All values of one field of a scenario.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FieldRange {
     /// Path of the field: `vehicles[i].position_m`, `vehicles[i].speed_mps`, or of a leader that brakes at a constant rate

@@ -1,12 +1,12 @@
 //! Evidence: a claim, how strongly something speaks for it, and what that rests on.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Claim, Strength};
 
 /// What speaks for a claim, or against it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Evidence {
     /// The claim.
     pub claim: Claim,
@@ -18,7 +18,8 @@ pub struct Evidence {
 }
 
 /// Where evidence stands.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Source {
     /// The part of the report, by its anchor in the page.
     pub part: String,

@@ -13,7 +13,6 @@ mod strength;
 use crumple_world::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
@@ -23,7 +22,8 @@ pub use rule::Rule;
 pub use strength::{LEAST_CONFIDENCE_PERCENT, Strength};
 
 /// Something with a name for readers and a hash to compare by.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Known {
     /// What readers call it.
     pub name: String,
@@ -55,7 +55,8 @@ impl PartialEq for Known {
 impl Eq for Known {}
 
 /// Who a claim is about: a controller with its parameters and its shield, and what it looks through.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Subject {
     /// The controller, by the identity of all that decides how it drives.
     pub controller: Known,
@@ -64,7 +65,8 @@ pub struct Subject {
 }
 
 /// What is said of a subject in a domain.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Property {
@@ -102,7 +104,8 @@ pub enum Property {
 }
 
 /// Where something is claimed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Domain {
@@ -160,7 +163,8 @@ pub enum Domain {
 }
 
 /// Words that are equal to all words: for readers only.
-#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
 pub struct Words(pub String);
 
@@ -171,7 +175,8 @@ impl PartialEq for Words {
 }
 
 /// What is said of whom, and where.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Claim {
     /// Who.
     pub subject: Subject,

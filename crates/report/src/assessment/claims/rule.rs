@@ -1,12 +1,12 @@
 //! The rules by which evidence speaks for claims that it does not equal.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Claim, Evidence, Property, Strength};
 
 /// How evidence speaks for a claim. There is no other way; least of all by a name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
     /// It is the claim's own.

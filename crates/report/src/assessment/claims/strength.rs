@@ -1,6 +1,5 @@
 //! How strongly a claim is supported.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
@@ -11,7 +10,8 @@ use crumple_world::sim::Unanswered;
 pub const LEAST_CONFIDENCE_PERCENT: f64 = 95.0;
 
 /// How strongly a claim is supported.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "strength", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Strength {

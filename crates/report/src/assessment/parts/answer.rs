@@ -1,7 +1,6 @@
 //! The first page: what was asked, what the answer is, and what to look at first.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::seeing;
@@ -15,7 +14,8 @@ use crate::draw::Svg;
 use crumple_world::quoted::Terminal;
 
 /// The answer to the question whether the subject touches others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Answer {
@@ -28,7 +28,8 @@ pub enum Answer {
 }
 
 /// The first page.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FirstPage {
     /// What was asked.
     pub question: String,

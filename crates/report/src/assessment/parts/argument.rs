@@ -6,7 +6,6 @@
 use std::fmt::Write;
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::argument_figure;
@@ -19,14 +18,16 @@ use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::quoted::Terminal;
 
 /// The argument, its elements in the order of their identifiers' numbers.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Argument {
     /// Its elements; the first one is the top goal.
     pub elements: Vec<Element>,
 }
 
 /// One element of the notation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Element {
     /// Identifier, its first letters saying what it is.
     pub id: String,
@@ -49,7 +50,8 @@ pub struct Element {
 }
 
 /// What an element is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ElementKind {

@@ -3,7 +3,6 @@
 use crumple_verify::reach::Ranges;
 use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, check_with};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{
@@ -20,7 +19,8 @@ use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in, bu
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Proof {
     /// Its name.
     pub name: String,
@@ -37,7 +37,7 @@ pub struct Proof {
     /// What the checker said.
     pub status: ProofStatus,
     /// What it takes for granted.
-    #[schemars(with = "Vec<String>")]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<String>"))]
     pub assumptions: Vec<Assumption>,
     /// The file itself.
     #[serde(skip)]
@@ -51,7 +51,8 @@ pub struct Proof {
 }
 
 /// What the checker said of a certificate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ProofStatus {
@@ -77,7 +78,8 @@ pub enum ProofStatus {
 }
 
 /// Of whom in a report a certificate speaks. What it is called, and what it says it is about, decides nothing.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum SpeaksOf {

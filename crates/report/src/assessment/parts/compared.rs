@@ -5,7 +5,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{Claim, Strength};
@@ -17,7 +16,8 @@ use crumple_world::digest::sha256;
 use crumple_world::scenario::file::{self, FileError};
 
 /// What changed since an earlier assessment.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Comparison {
     /// SHA-256 of the evidence it is compared with.
     pub earlier_sha256: String,
@@ -36,7 +36,8 @@ pub struct Comparison {
 }
 
 /// Something that differs.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Change {
     /// What it is.
     pub what: String,

@@ -1,7 +1,6 @@
 //! Draws of spaces: failure rates with exact bounds, and paired comparison.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -29,14 +28,16 @@ const CONFIDENCE: f64 = 0.95;
 const DRAWS_AT_ONCE: u64 = 4096;
 
 /// Every controller on the same draws, space after space.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Distributions {
     /// One entry a space.
     pub spaces: Vec<Distribution>,
 }
 
 /// Every controller on the same draws of a space.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Distribution {
     /// The space.
     pub space: Known,
@@ -51,7 +52,8 @@ pub struct Distribution {
 }
 
 /// How one controller did on all draws.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Sampled {
     /// The controller's name.
     pub controller: String,
@@ -82,7 +84,8 @@ pub struct Sampled {
 }
 
 /// A share in percent with its bounds.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Percent {
     /// The share that was observed.
     pub observed: Rounded<2>,
@@ -107,7 +110,8 @@ impl Percent {
 }
 
 /// Two controllers on the same draws. Draws in which the first gave no answer are not among those in which only it fails.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Paired {
     /// Both fail.
     pub both: u64,

@@ -1,7 +1,6 @@
 //! The spaces that scenarios are drawn from and searched in, in numbers.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::Usefulness;
@@ -12,14 +11,16 @@ use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::scenario::space::{Space, built_in_space};
 
 /// What varies in each space, within which range and by which law.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Domains {
     /// One entry a space.
     pub spaces: Vec<SpaceInNumbers>,
 }
 
 /// A space.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceInNumbers {
     /// Its name.
     pub name: String,
@@ -32,7 +33,8 @@ pub struct SpaceInNumbers {
 }
 
 /// Something that varies.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ParameterInNumbers {
     /// The field of the scenario.
     pub field: String,

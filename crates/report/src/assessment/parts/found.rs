@@ -3,7 +3,6 @@
 use std::iter;
 use std::path::Path;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::search::Texts;
@@ -20,7 +19,8 @@ use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOpti
 const ROAD: &str = "xodr";
 
 /// What a method reached within its budget.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MethodReached {
     /// The method.
     pub method: String,
@@ -68,7 +68,8 @@ pub(super) fn is_own(vehicles: [Option<u32>; 2], nominal: &Scenario) -> bool {
 
 /// How a counterexample could have been avoided: its scenario with a script in place of every vehicle under test, in which nobody
 /// touches.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EscapeFile {
     /// The scenario file, from the folder of the report, beside that of the counterexample.
     pub file: String,
@@ -91,7 +92,8 @@ impl EscapeFile {
 }
 
 /// A distinct failure, shrunk.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Failure {
     /// The scenario file, from the folder of the report.
     pub file: String,

@@ -1,7 +1,6 @@
 //! Learned policies: where they come from, and how they brake.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{PaperScenarios, ScenarioCases};
@@ -11,13 +10,13 @@ use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
-use crumple_learn::rl::{CurvePoint, LearningCurve};
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::Policy;
+use crumple_world::policy::{CurvePoint, LearningCurve, Policy};
 use crumple_world::sim::{Trace, Track};
 
 /// The learned policies among the controllers.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Learned {
     /// One entry a policy.
     pub policies: Vec<LearnedPolicy>,
@@ -33,7 +32,8 @@ pub struct Learned {
 const REFERENCE_CURVE: &str = include_str!("../built_in/learning-curve.json");
 
 /// A policy and its origin.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LearnedPolicy {
     /// The name it goes by here.
     pub name: String,
@@ -46,7 +46,8 @@ pub struct LearnedPolicy {
 }
 
 /// When the first vehicle under test and the one behind it begin to brake.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Braking {
     /// The scenario.
     pub scenario: String,

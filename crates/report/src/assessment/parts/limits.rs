@@ -2,7 +2,6 @@
 
 use crumple_verify::Statement;
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::markdown::{Inline, Markdown};
@@ -11,14 +10,16 @@ use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Limits {
     /// The assumptions.
     pub assumptions: Vec<Limit>,
 }
 
 /// Something that is taken for granted.
-#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Limit {
     /// What, in a few words that are true or false.
     pub assumed: &'static str,

@@ -1,6 +1,5 @@
 //! What a line of vehicles under one controller makes of a disturbance.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
@@ -11,7 +10,8 @@ use crumple_world::scenario::{SPEED_DIP_S, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, Unanswered, simulate};
 
 /// What a line of vehicles makes of a disturbance of its leader.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LineVerdict {

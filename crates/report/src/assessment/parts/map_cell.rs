@@ -1,6 +1,5 @@
 //! One cell of a failure map, and a row of them as a short text.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What came of one controller in one scenario.
@@ -45,7 +44,8 @@ impl MapCell {
 }
 
 /// A row of cells from left to right; in the evidence a text of one letter a cell, see [`MapCell::letter`].
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(try_from = "String", into = "String")]
 pub struct MapRow(pub Vec<MapCell>);
 

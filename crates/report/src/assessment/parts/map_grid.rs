@@ -1,6 +1,5 @@
 //! The grid of a failure map: two parameters of a space, the values they take, and the scenario of every cell.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::{AssessError, Rounded};
@@ -8,7 +7,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::{Parameter, Space};
 
 /// A parameter that varies over a map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapAxis {
     /// Its name in the space.
     pub parameter: String,
@@ -27,7 +27,8 @@ pub struct MapAxis {
 }
 
 /// A parameter that does not vary.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Held {
     /// Its name in the space.
     pub parameter: String,

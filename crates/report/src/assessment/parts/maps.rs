@@ -2,7 +2,6 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -33,7 +32,8 @@ const CELLS: (usize, usize) = (14, 14);
 const MOST_SHOWN: usize = 4;
 
 /// Maps of the same scenarios, one a controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureMaps {
     /// The search space the scenarios come from.
     pub space: String,
@@ -50,7 +50,8 @@ pub struct FailureMaps {
 }
 
 /// What came of one controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FailureMap {
     /// The controller.
     pub controller: String,

@@ -2,7 +2,6 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
@@ -16,7 +15,8 @@ use crate::draw::Svg;
 use crumple_world::scenario::{Scenario, built_in, built_in_names};
 
 /// Every controller in the paper's three scenarios.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PaperScenarios {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,

@@ -2,7 +2,6 @@
 
 use crumple_verify::Assumption;
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::ScenarioCases;
@@ -16,7 +15,8 @@ use crumple_world::control::Kernel;
 use crumple_world::scenario::VehicleClass;
 
 /// Certificates, each checked in this very run.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Proofs {
     /// What the shield's kernels demand, one entry a pair of vehicle classes.
     pub kernels: Vec<KernelGap>,
@@ -27,7 +27,8 @@ pub struct Proofs {
 }
 
 /// What the kernel of a pair of vehicle classes demands on a dry road.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct KernelGap {
     /// Name of the pair, and of the certificate.
     pub pair: String,

@@ -1,7 +1,6 @@
 //! Where the evidence comes from.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::markdown::{Inline, Markdown};
@@ -11,7 +10,8 @@ use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store}
 use crumple_world::digest::sha256;
 
 /// When, by what and where an assessment was made. No evidence depends on it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Made {
     /// Date and time, UTC, as RFC 3339 has it.
     pub at: String,
@@ -26,7 +26,8 @@ pub struct Made {
 }
 
 /// What it takes to get the same evidence again.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Provenance {
     /// Version of crumple.
     pub crumple: &'static str,

@@ -2,7 +2,6 @@
 //! enlarged, or any formula.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::json;
 
@@ -26,14 +25,16 @@ use crumple_world::sim::{NamedController, Unanswered};
 const ANCHOR: &str = "rules";
 
 /// What was searched for violations of rules, and what was found.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Rules {
     /// An entry a space and rule.
     pub searches: Vec<RuleSearches>,
 }
 
 /// Every controller, in one space, by one rule.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RuleSearches {
     /// The space.
     pub space: Known,
@@ -44,7 +45,8 @@ pub struct RuleSearches {
 }
 
 /// What was found of one controller.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RuleSearch {
     /// The controller.
     pub controller: String,
@@ -66,7 +68,8 @@ pub struct RuleSearch {
 }
 
 /// A run that broke a rule, shrunk.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RuleViolation {
     /// The scenario file, from the folder of the report.
     pub file: String,

@@ -2,7 +2,6 @@
 
 use crumple_verify::Certificate;
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::assessment::best::CertifiedBest;
@@ -16,7 +15,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::Unanswered;
 
 /// What came of every controller in one scenario.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ScenarioCases {
     /// Name of the scenario.
     pub scenario: String,

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -36,14 +35,16 @@ const MOST_SHOWN: usize = 100;
 const MOST_DRAWN: usize = 3;
 
 /// What was searched for failures, and what was found.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Searches {
     /// One entry a space.
     pub spaces: Vec<SpaceSearches>,
 }
 
 /// Every controller in one space.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSearches {
     /// The space, as `--space` takes it.
     pub name: String,
@@ -56,7 +57,8 @@ pub struct SpaceSearches {
 }
 
 /// One controller in one space.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Search {
     /// The controller.
     pub controller: String,

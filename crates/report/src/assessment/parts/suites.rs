@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -42,7 +41,8 @@ pub(in crate::assessment) fn gather_one(
 }
 
 /// What suites found.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Suites {
     /// What it is and is not.
     pub statement: &'static str,
@@ -54,7 +54,8 @@ pub struct Suites {
 }
 
 /// What one suite found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFindings {
     /// The suite.
     pub suite: Known,
@@ -73,7 +74,8 @@ pub struct SuiteFindings {
 }
 
 /// What was found of a test.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteTest {
     /// The clause.
     pub clause: String,
@@ -86,7 +88,8 @@ pub struct SuiteTest {
 }
 
 /// How a test ended for a controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteOutcome {
     /// Whether it passed; none if it could not be run.
     pub passed: Option<bool>,
@@ -117,7 +120,8 @@ pub struct SuiteOutcome {
 }
 
 /// A point that failed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFailure {
     /// The scenario's file, from the folder of the report.
     pub file: String,

@@ -1,7 +1,6 @@
 //! The verdict: claims about each controller, and how strongly each is supported.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
@@ -15,7 +14,8 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Every claim about every controller.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Summary {
     /// The controller that the question is about.
     pub subject: Option<String>,
@@ -33,7 +33,8 @@ pub struct Summary {
 }
 
 /// A name, and what it stands for.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct NamedThing {
     /// The name.
     pub name: String,
@@ -42,7 +43,8 @@ pub struct NamedThing {
 }
 
 /// One property in one domain, claimed of every controller.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimRow {
     /// What is claimed.
     pub claim: String,

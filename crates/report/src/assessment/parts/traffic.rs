@@ -2,7 +2,6 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
@@ -24,7 +23,8 @@ const MOST_FIGURES: usize = 12;
 const ANCHOR: &str = "traffic";
 
 /// Every controller in every scenario the configuration names.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Traffic {
     /// One entry a scenario.
     pub scenarios: Vec<ScenarioCases>,

@@ -1,7 +1,6 @@
 //! Usefulness: what a controller does where nothing threatens, beside what it survives where something does.
 
 use maud::{Markup, html};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -40,7 +39,8 @@ const FOLLOWERS: usize = 5;
 const TIME_GAP_S: f64 = 1.5;
 
 /// Every controller in everyday traffic, in danger, and in a line.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Usefulness {
     /// Where nothing threatens, and where something does.
     pub spaces: [Known; 2],
@@ -57,7 +57,8 @@ pub struct Usefulness {
 }
 
 /// How one controller gets on. Means are over the drives in which there is such a value.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Useful {
     /// The controller's name.
     pub controller: String,

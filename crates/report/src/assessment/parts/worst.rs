@@ -2,7 +2,6 @@
 
 use maud::{Markup, html};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::worst_figure;
@@ -26,7 +25,8 @@ const SCENARIO: &str = "paper-1";
 pub(in crate::assessment) const BUDGET: usize = 3000;
 
 /// The mildest braking of the leader found against every controller.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WorstProfiles {
     /// The scenario whose leader brakes.
     pub scenario: &'static str,
@@ -43,7 +43,8 @@ pub struct WorstProfiles {
 }
 
 /// What was found against one controller.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WorstProfile {
     /// The controller.
     pub controller: String,
@@ -58,7 +59,8 @@ pub struct WorstProfile {
 }
 
 /// A braking of the leader that ends in a collision.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Mildest {
     /// Hardest deceleration of the leader, in m/s².
     pub peak_brake_mps2: Rounded<2>,

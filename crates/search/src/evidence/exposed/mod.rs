@@ -15,7 +15,6 @@ mod resampled;
 #[cfg(test)]
 mod tests;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use counting::{Waves, expected_episodes};
@@ -30,7 +29,8 @@ use crumple_world::scenario::space::Space;
 pub const CONFIDENCE: f64 = 0.95;
 
 /// A figure and between which it lies.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Figure {
     /// The estimate.
     pub estimate: f64,
@@ -41,7 +41,8 @@ pub struct Figure {
 }
 
 /// Failures as they would be met on the road.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Figures {
     /// Failures per episode.
     pub per_episode: Figure,
@@ -52,7 +53,8 @@ pub struct Figures {
 }
 
 /// How often a controller fails where the space was observed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ExposedRate {
     /// Episodes that were seen and that the space describes.
     pub episodes: u64,
@@ -78,7 +80,8 @@ pub struct ExposedRate {
 }
 
 /// Figures with the data's uncertainty, and where the uncertainty is from.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WithData {
     /// The figures.
     pub figures: Figures,

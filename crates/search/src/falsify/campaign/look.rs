@@ -110,7 +110,7 @@ impl Look {
             Stage::Finished { finished, parts, .. } => {
                 let Some(name) = parts.last() else { return Ok(false) };
                 // A damaged table stays the next one, so that every later call reports the damage, too.
-                let rows = table::decode(finished.read_bytes(name)?, &self.terms)?;
+                let rows = table::decode(name, &finished.read_bytes(name)?, &self.terms)?;
                 parts.pop();
                 let left = MOST_SHOWN.saturating_sub(self.evaluations.len());
                 for (method, evaluated) in rows.into_iter().take(left) {

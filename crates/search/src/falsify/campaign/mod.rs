@@ -5,7 +5,7 @@
 //! | file | what it holds |
 //! |---|---|
 //! | `campaign.toml` | everything that decides the results; its hash names the campaign in the summary |
-//! | `evaluations/part-*.parquet` | every evaluation, as columns |
+//! | `evaluations/part-*.csv.gz` | every evaluation, one row each |
 //! | `counterexamples/*.toml` | distinct failures, shrunk, as scenario files; `originals/` has them as they were found, `escapes/` how those that are avoidable could have been |
 //! | `counterexamples/expected.verdicts` | the recorded verdict of each of them, in TOML |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |

@@ -1,23 +1,18 @@
-//! Every evaluation as a row of Parquet files: `evaluations/part-00000.parquet` and so on, which pandas and polars read as
-//! one table.
+//! Evaluation log: one row for each evaluation, in compressed CSV files `evaluations/part-00000.csv.gz` and so on. pandas and
+//! polars read each of them without options.
 //!
-//! A part holds 65 536 rows, the last one what is left, in the order of evaluation: the method asked for first, then the
-//! reference searches. A part appears whole or not at all. Columns: `method`; `evaluation` (from 1, for each method); one for each
-//! coordinate in the unit of its parameter (a class by its name); `ln_likelihood`; `robustness`; and, empty where no
-//! vehicles touched, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`.
+//! A part has 65 536 rows, the last part the rest, in the order of evaluation: first the requested method, then the reference
+//! searches. Columns, in this order: `method`; `evaluation` (from 1, for each method); one column for each coordinate in the unit
+//! of its parameter (a class or driver by its name); `ln_likelihood`; `robustness`; and, empty without a contact,
+//! `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`, `rear_class`. Numbers are the shortest
+//! that read back as the same.
 
-use std::sync::Arc;
+use std::io::Read;
 
-use bytes::Bytes;
-use parquet::basic::Compression;
-use parquet::column::reader::get_typed_column_reader;
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
-use parquet::errors::ParquetError;
-use parquet::file::properties::WriterProperties;
-use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
-use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
-use parquet::schema::parser::parse_message_type;
-use parquet::schema::types::{ColumnDescPtr, SchemaDescriptor};
+use csv::{StringRecord, Writer};
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 
 use super::terms::Terms;
 use super::{CampaignError, Evaluated};
@@ -29,6 +24,24 @@ use crumple_world::scenario::space::{Parameter, Space};
 
 /// Rows of a part.
 const ROWS: usize = 65_536;
+
+/// Maximum bytes of a field, commas and quotes included: more than any number or name has.
+const MAX_FIELD_BYTES: usize = 64;
+
+/// File name extension of a part.
+const EXTENSION: &str = ".csv.gz";
+
+/// Columns after the coordinates.
+const RESULTS: [&str; 8] = [
+    "ln_likelihood",
+    "robustness",
+    "contact_time_s",
+    "front_vehicle",
+    "rear_vehicle",
+    "impact_speed_mps",
+    "ego_braking",
+    "rear_class",
+];
 
 /// Writes rows to parts.
 pub(super) struct Table<'a> {
@@ -48,14 +61,14 @@ impl<'a> Table<'a> {
         if self.rows.len() < ROWS {
             return Ok(());
         }
-        // A resumed campaign comes by here again, and finds the part as it left it.
+        // A resumed campaign writes the same part again.
         let (name, part) = self.part()?;
         self.parts += 1;
         self.rows.clear();
         Ok(self.work.write(&name, part)?)
     }
 
-    /// What is left, as one of the results.
+    /// Adds the last part to the results.
     pub(super) fn finish(self, results: &mut Changes<'_>) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
             let (name, part) = self.part()?;
@@ -65,216 +78,115 @@ impl<'a> Table<'a> {
     }
 
     fn part(&self) -> Result<(String, Vec<u8>), CampaignError> {
-        let name = format!("evaluations/part-{:05}.parquet", self.parts);
+        let name = format!("evaluations/part-{:05}{EXTENSION}", self.parts);
         Ok((name, self.encode().map_err(CampaignError::encoding)?))
     }
 
-    fn encode(&self) -> Result<Vec<u8>, ParquetError> {
-        let schema = Arc::new(parse_message_type(&schema(self.space))?);
-        let properties = Arc::new(WriterProperties::builder().set_compression(Compression::SNAPPY).build());
-        let mut writer = SerializedFileWriter::new(Vec::new(), schema, properties)?;
-        let mut group = writer.next_row_group()?;
-        let rows = &self.rows;
+    fn encode(&self) -> Result<Vec<u8>, csv::Error> {
+        let mut table = Writer::from_writer(GzEncoder::new(Vec::new(), Compression::fast()));
+        table.write_record(columns(self.space))?;
         let parameters: Vec<_> = self.space.coordinate_parameters().collect();
-        let struck = |of: fn(&FirstContact) -> f64| -> Vec<Option<f64>> {
-            rows.iter().map(|(_, row)| row.verdict.contact.as_ref().map(of)).collect()
-        };
-        let name = |of: fn(&FirstContact) -> &'static str| -> Vec<Option<&'static str>> {
-            rows.iter().map(|(_, row)| row.verdict.contact.as_ref().map(of)).collect()
-        };
-        let mut index = 0_usize;
-        while let Some(mut column) = group.next_column()? {
-            let after = index as isize - 2 - parameters.len() as isize;
-            match (index, parameters.get(index.wrapping_sub(2))) {
-                (0, _) => texts(&mut column, rows.iter().map(|(method, _)| Some(method.name())), false)?,
-                (1, _) => {
-                    let numbers: Vec<i64> = rows.iter().map(|(_, row)| row.number as i64).collect();
-                    column.typed::<Int64Type>().write_batch(&numbers, None, None)?;
-                }
-                (_, Some(parameter)) => {
-                    let values = rows.iter().map(|(_, row)| row.values.get(index - 2).copied().unwrap_or(f64::NAN));
-                    if parameter.is_named() {
-                        let shown: Vec<String> = values.map(|value| parameter.show(value)).collect();
-                        texts(&mut column, shown.iter().map(|text| Some(text.as_str())), false)?;
-                    } else {
-                        column.typed::<DoubleType>().write_batch(&values.collect::<Vec<_>>(), None, None)?;
-                    }
-                }
-                _ => match after {
-                    0 => doubles(&mut column, rows.iter().map(|(_, row)| Some(row.ln_likelihood)).collect(), false)?,
-                    1 => {
-                        doubles(&mut column, rows.iter().map(|(_, row)| Some(row.verdict.robustness)).collect(), false)?
-                    }
-                    2 => doubles(&mut column, struck(|struck| struck.time_s), true)?,
-                    3 => integers(&mut column, struck(|struck| f64::from(struck.front_vehicle)))?,
-                    4 => integers(&mut column, struck(|struck| f64::from(struck.rear_vehicle)))?,
-                    5 => doubles(&mut column, struck(|struck| struck.impact_speed_mps), true)?,
-                    6 => texts(&mut column, name(|struck| struck.ego_braking.name()).into_iter(), true)?,
-                    _ => texts(&mut column, name(|struck| struck.rear_class.name()).into_iter(), true)?,
-                },
+        for (method, row) in &self.rows {
+            table.write_field(method.name())?;
+            table.write_field(row.number.to_string())?;
+            for (parameter, value) in parameters.iter().zip(&row.values) {
+                table.write_field(if parameter.is_named() { parameter.show(*value) } else { number(*value) })?;
             }
-            column.close()?;
-            index += 1;
+            table.write_field(number(row.ln_likelihood))?;
+            table.write_field(number(row.verdict.robustness))?;
+            let contact = row.verdict.contact.as_ref().map(|contact| {
+                [
+                    number(contact.time_s),
+                    contact.front_vehicle.to_string(),
+                    contact.rear_vehicle.to_string(),
+                    number(contact.impact_speed_mps),
+                    contact.ego_braking.name().to_owned(),
+                    contact.rear_class.name().to_owned(),
+                ]
+            });
+            table.write_record(contact.unwrap_or_default())?;
         }
-        group.close()?;
-        writer.into_inner()
+        let compressed = table.into_inner().map_err(|error| error.into_error())?;
+        Ok(compressed.finish()?)
     }
 }
 
-/// The columns, as Parquet writes them down.
-fn schema(space: &Space) -> String {
-    let mut columns = "REQUIRED BINARY method (UTF8); REQUIRED INT64 evaluation;".to_owned();
-    for (name, parameter) in space.coordinate_names().iter().zip(space.coordinate_parameters()) {
-        let kind = if parameter.is_named() { format!("BINARY {name} (UTF8)") } else { format!("DOUBLE {name}") };
-        columns += &format!(" REQUIRED {kind};");
+fn columns(space: &Space) -> Vec<String> {
+    let texts = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    [texts(&["method", "evaluation"]), space.coordinate_names(), texts(&RESULTS)].concat()
+}
+
+/// Formats a number so that it reads back as the same, with an exponent where decimals would be long.
+fn number(value: f64) -> String {
+    format!("{value:?}")
+}
+
+/// Reads the rows of a part. A log does not state the failure of a controller, so verdicts are without it.
+///
+/// # Errors
+/// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
+pub(super) fn decode(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Method, Evaluated)>, CampaignError> {
+    let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
+    if !name.ends_with(EXTENSION) {
+        return Err(damaged("an earlier crumple wrote this log, in a format that crumple no longer reads"));
     }
-    columns += " REQUIRED DOUBLE ln_likelihood; REQUIRED DOUBLE robustness; OPTIONAL DOUBLE contact_time_s; \
-                     OPTIONAL INT32 front_vehicle; OPTIONAL INT32 rear_vehicle; OPTIONAL DOUBLE impact_speed_mps; \
-                     OPTIONAL BINARY ego_braking (UTF8); OPTIONAL BINARY rear_class (UTF8);";
-    format!("message evaluations {{ {columns} }}")
-}
-
-fn presence<T>(values: &[Option<T>], optional: bool) -> Option<Vec<i16>> {
-    optional.then(|| values.iter().map(|value| i16::from(value.is_some())).collect())
-}
-
-fn doubles(
-    column: &mut SerializedColumnWriter<'_>,
-    values: Vec<Option<f64>>,
-    optional: bool,
-) -> Result<(), ParquetError> {
-    let present = presence(&values, optional);
-    let values: Vec<f64> = values.into_iter().flatten().collect();
-    column.typed::<DoubleType>().write_batch(&values, present.as_deref(), None).map(|_| ())
-}
-
-fn integers(column: &mut SerializedColumnWriter<'_>, values: Vec<Option<f64>>) -> Result<(), ParquetError> {
-    let present = presence(&values, true);
-    let values: Vec<i32> = values.into_iter().flatten().map(|value| value as i32).collect();
-    column.typed::<Int32Type>().write_batch(&values, present.as_deref(), None).map(|_| ())
-}
-
-fn texts<'t>(
-    column: &mut SerializedColumnWriter<'_>,
-    values: impl Iterator<Item = Option<&'t str>>,
-    optional: bool,
-) -> Result<(), ParquetError> {
-    let values: Vec<Option<&str>> = values.collect();
-    let present = presence(&values, optional);
-    let values: Vec<ByteArray> = values.into_iter().flatten().map(ByteArray::from).collect();
-    column.typed::<ByteArrayType>().write_batch(&values, present.as_deref(), None).map(|_| ())
-}
-
-/// The rows of a part, as far as they are kept: of a run in which a controller failed it is not known when.
-pub(super) fn decode(part: Vec<u8>, terms: &Terms) -> Result<Vec<(Method, Evaluated)>, CampaignError> {
-    let unreadable = CampaignError::encoding;
-    let space = &terms.space;
-    let reader = SerializedFileReader::new(Bytes::from(part)).map_err(unreadable)?;
-    let expected = SchemaDescriptor::new(Arc::new(parse_message_type(&schema(space)).map_err(unreadable)?));
-    let form = |schema: &SchemaDescriptor| {
-        let column = |column: &ColumnDescPtr| {
-            (column.name().to_owned(), column.physical_type(), column.max_def_level(), column.max_rep_level())
-        };
-        schema.columns().iter().map(column).collect::<Vec<_>>()
-    };
-    if form(reader.metadata().file_metadata().schema_descr()) != form(&expected) {
-        return Err(CampaignError::Encoding("the columns of a part are not those of its space".to_owned()));
+    let columns = columns(&terms.space);
+    let header: usize = columns.iter().map(|column| column.len() + 3).sum();
+    // A few compressed bytes can stand for gigabytes.
+    let most = header + ROWS * columns.len() * MAX_FIELD_BYTES;
+    let mut table = csv::Reader::from_reader(GzDecoder::new(part).take(most as u64));
+    let unreadable = |error: csv::Error| damaged(&error.to_string());
+    if table.headers().map_err(unreadable)? != columns {
+        return Err(damaged("the columns are not those of the campaign's space"));
     }
-    let parameters: Vec<_> = space.coordinate_parameters().collect();
-    let mut rows = Vec::new();
-    for index in 0..reader.num_row_groups() {
-        let group = reader.get_row_group(index).map_err(unreadable)?;
-        let columns = Columns { group: &*group, rows: usize::try_from(group.metadata().num_rows()).unwrap_or(0) };
-        rows.extend(columns.decode(&parameters, terms).map_err(unreadable)?.into_iter().flatten());
+    let parameters: Vec<_> = terms.space.coordinate_parameters().collect();
+    let (mut record, mut rows) = (StringRecord::new(), Vec::new());
+    while table.read_record(&mut record).map_err(unreadable)? {
+        rows.push(row(&record, &parameters, terms).ok_or_else(|| {
+            let line = record.position().map_or(0, csv::Position::line);
+            damaged(&format!("line {line} is not an evaluation"))
+        })?);
     }
     Ok(rows)
 }
 
-/// A group of rows whose columns are as they should be.
-struct Columns<'a> {
-    group: &'a dyn RowGroupReader,
-    rows: usize,
+/// Reads a row; none if crumple did not write it.
+fn row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) -> Option<(Method, Evaluated)> {
+    let mut fields = record.iter();
+    let method = fields.next()?.parse().ok()?;
+    let number = fields.next()?.parse().ok()?;
+    let coordinate = |parameter: &&Parameter| {
+        let field = fields.next()?;
+        if parameter.is_named() { named(parameter, field) } else { field.parse().ok() }
+    };
+    let values = parameters.iter().map(coordinate).collect::<Option<Vec<f64>>>()?;
+    let ln_likelihood = fields.next()?.parse().ok()?;
+    let robustness = fields.next()?.parse().ok()?;
+    let contact = match fields.collect::<Vec<_>>()[..] {
+        ["", "", "", "", "", ""] => None,
+        [time, front, rear, impact, braking, class] => Some(FirstContact {
+            time_s: time.parse().ok()?,
+            front_vehicle: front.parse().ok()?,
+            rear_vehicle: rear.parse().ok()?,
+            impact_speed_mps: impact.parse().ok()?,
+            ego_braking: Braking::ALL.into_iter().find(|known| known.name() == braking)?,
+            rear_class: VehicleClass::ALL.iter().copied().find(|known| known.name() == class)?,
+        }),
+        _ => return None,
+    };
+    let point = terms.space.point(&values);
+    let evaluated = Evaluated {
+        number,
+        departure: terms.departure(&point),
+        point,
+        values,
+        ln_likelihood,
+        verdict: RunVerdict { contact, ..RunVerdict::new(robustness) },
+    };
+    Some((method, evaluated))
 }
 
-impl Columns<'_> {
-    /// None for a row that crumple did not write.
-    fn decode(
-        &self,
-        parameters: &[&Parameter],
-        terms: &Terms,
-    ) -> Result<Vec<Option<(Method, Evaluated)>>, ParquetError> {
-        let text = |value: ByteArray| String::from_utf8(value.data().to_vec()).unwrap_or_default();
-        let methods = self.column::<ByteArrayType>(0)?;
-        let numbers = self.column::<Int64Type>(1)?;
-        let mut coordinates = Vec::new();
-        for (index, parameter) in (2..).zip(parameters) {
-            coordinates.push(match parameter.is_named() {
-                true => self
-                    .column::<ByteArrayType>(index)?
-                    .into_iter()
-                    .map(|name| named(parameter, &text(name?)))
-                    .collect(),
-                false => self.column::<DoubleType>(index)?,
-            });
-        }
-        let after = 2 + parameters.len();
-        let (likelihoods, robustness) = (self.column::<DoubleType>(after)?, self.column::<DoubleType>(after + 1)?);
-        let (times, impacts) = (self.column::<DoubleType>(after + 2)?, self.column::<DoubleType>(after + 5)?);
-        let (fronts, rears) = (self.column::<Int32Type>(after + 3)?, self.column::<Int32Type>(after + 4)?);
-        let (brakings, classes) = (self.column::<ByteArrayType>(after + 6)?, self.column::<ByteArrayType>(after + 7)?);
-        let at = |values: &[Option<f64>], row: usize| values.get(row).copied().flatten();
-        let vehicle = |values: &[Option<i32>], row: usize| u32::try_from(values.get(row).copied().flatten()?).ok();
-        let name = |values: &[Option<ByteArray>], row: usize| values.get(row).cloned().flatten().map(text);
-        let contact = |row: usize| {
-            let (braking, class) = (name(&brakings, row)?, name(&classes, row)?);
-            Some(FirstContact {
-                time_s: at(&times, row)?,
-                front_vehicle: vehicle(&fronts, row)?,
-                rear_vehicle: vehicle(&rears, row)?,
-                impact_speed_mps: at(&impacts, row)?,
-                ego_braking: Braking::ALL.into_iter().find(|known| known.name() == braking)?,
-                rear_class: VehicleClass::ALL.iter().copied().find(|known| known.name() == class)?,
-            })
-        };
-        let row = |row: usize| {
-            let values = coordinates.iter().map(|values| at(values, row)).collect::<Option<Vec<f64>>>()?;
-            let point = terms.space.point(&values);
-            let evaluated = Evaluated {
-                number: u64::try_from(numbers.get(row).copied().flatten()?).ok()?,
-                departure: terms.departure(&point),
-                point,
-                values,
-                ln_likelihood: at(&likelihoods, row)?,
-                verdict: RunVerdict { contact: contact(row), ..RunVerdict::new(at(&robustness, row)?) },
-            };
-            Some((name(&methods, row)?.parse().ok()?, evaluated))
-        };
-        Ok((0..self.rows).map(row).collect())
-    }
-
-    /// A column of that type, none for what is empty.
-    fn column<T: DataType>(&self, index: usize) -> Result<Vec<Option<T::T>>, ParquetError> {
-        let is_optional = self.group.metadata().column(index).column_descr().max_def_level() > 0;
-        let mut reader = get_typed_column_reader::<T>(self.group.get_column_reader(index)?);
-        let (mut values, mut present) = (Vec::new(), Vec::new());
-        let mut read = 0;
-        while read < self.rows {
-            let (records, ..) =
-                reader.read_records(self.rows - read, is_optional.then_some(&mut present), None, &mut values)?;
-            if records == 0 {
-                break;
-            }
-            read += records;
-        }
-        if !is_optional {
-            return Ok(values.into_iter().map(Some).collect());
-        }
-        let mut values = values.into_iter();
-        Ok(present.into_iter().map(|level| if level > 0 { values.next() } else { None }).collect())
-    }
-}
-
-/// The number of a value that has a name.
+/// Returns the number of a value that has a name.
 fn named(parameter: &Parameter, name: &str) -> Option<f64> {
     let [low, high] = parameter.range();
     (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.show(number) == name)

@@ -1,7 +1,6 @@
 //! How many evaluations a method needs until it falsifies each specification.
 
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -11,7 +10,8 @@ use crate::falsify::{Cube, Method};
 use crumple_world::measure::stl::Formula;
 
 /// The result of a method on the six specifications.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Benchmark {
     /// Name of the method.
     pub method: String,
@@ -24,7 +24,8 @@ pub struct Benchmark {
 }
 
 /// One specification.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Row {
     /// Name of the specification.
     pub spec: String,
@@ -41,7 +42,8 @@ pub struct Row {
 }
 
 /// One run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Run {
     /// Its seed.
     pub seed: u64,
@@ -56,7 +58,8 @@ pub struct Run {
 }
 
 /// Inputs under which a specification is violated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Counterexample {
     /// Throttle of each 5 s.
     pub throttle: Vec<f64>,

@@ -29,7 +29,8 @@ pub enum Avoidability {
 }
 
 /// An [`Avoidability`] as one word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum AvoidabilityClass {
     /// [`Avoidability::NotAsked`].

@@ -1,0 +1,109 @@
+//! JUnit reports, the XML that build servers read, in the form of <https://github.com/testmoapp/junitxml>.
+
+use std::fmt::{self, Display, Write};
+
+use quick_xml::escape::escape;
+
+use crumple_world::quoted::Lines;
+
+/// Result of a test case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Status {
+    Passed,
+    Failed,
+    Error,
+    Skipped,
+}
+
+impl Status {
+    /// Returns the element of a result other than a pass.
+    fn element(self) -> Option<&'static str> {
+        match self {
+            Self::Passed => None,
+            Self::Failed => Some("failure"),
+            Self::Error => Some("error"),
+            Self::Skipped => Some("skipped"),
+        }
+    }
+}
+
+/// Test case.
+#[derive(Debug)]
+pub(crate) struct Case {
+    pub(crate) name: String,
+    pub(crate) status: Status,
+    /// Reason of a result other than a pass.
+    pub(crate) message: Option<String>,
+    pub(crate) output: String,
+}
+
+/// Test suite: cases, and properties as names with values.
+#[derive(Debug, Default)]
+pub(crate) struct Suite {
+    pub(crate) name: String,
+    pub(crate) properties: Vec<(String, String)>,
+    pub(crate) cases: Vec<Case>,
+}
+
+/// Renders suites as XML. Control characters are shown as escapes.
+pub(crate) fn xml(name: &str, suites: &[Suite]) -> String {
+    Lines(&Document { name, suites }.to_string()).to_string()
+}
+
+struct Document<'a> {
+    name: &'a str,
+    suites: &'a [Suite],
+}
+
+impl Display for Document<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let all = || self.suites.iter().flat_map(|suite| &suite.cases);
+        let count = |status| all().filter(|case| case.status == status).count();
+        let [skipped, failures, errors] = [Status::Skipped, Status::Failed, Status::Error].map(count);
+        let (name, tests) = (escape(self.name), all().count());
+        writeln!(out, r#"<?xml version="1.0" encoding="UTF-8"?>"#)?;
+        writeln!(
+            out,
+            r#"<testsuites name="{name}" tests="{tests}" skipped="{skipped}" failures="{failures}" errors="{errors}">"#
+        )?;
+        self.suites.iter().try_for_each(|suite| suite.write(out))?;
+        writeln!(out, "</testsuites>")
+    }
+}
+
+impl Suite {
+    fn write(&self, out: &mut impl Write) -> fmt::Result {
+        let count = |status| self.cases.iter().filter(|case| case.status == status).count();
+        let [skipped, errors, failures] = [Status::Skipped, Status::Error, Status::Failed].map(count);
+        let (name, tests) = (escape(&self.name), self.cases.len());
+        let close = if self.cases.is_empty() && self.properties.is_empty() { "/" } else { "" };
+        writeln!(
+            out,
+            r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" errors="{errors}" failures="{failures}"{close}>"#
+        )?;
+        if !close.is_empty() {
+            return Ok(());
+        }
+        if !self.properties.is_empty() {
+            writeln!(out, "        <properties>")?;
+            for (name, value) in &self.properties {
+                writeln!(out, r#"            <property name="{}" value="{}"/>"#, escape(name), escape(value))?;
+            }
+            writeln!(out, "        </properties>")?;
+        }
+        self.cases.iter().try_for_each(|case| case.write(out))?;
+        writeln!(out, "    </testsuite>")
+    }
+}
+
+impl Case {
+    fn write(&self, out: &mut impl Write) -> fmt::Result {
+        writeln!(out, r#"        <testcase name="{}">"#, escape(&self.name))?;
+        if let Some(element) = self.status.element() {
+            let message = self.message.as_ref().map(|message| format!(r#" message="{}""#, escape(message)));
+            writeln!(out, "            <{element}{}/>", message.unwrap_or_default())?;
+        }
+        writeln!(out, "            <system-out>{}</system-out>", escape(&self.output))?;
+        writeln!(out, "        </testcase>")
+    }
+}

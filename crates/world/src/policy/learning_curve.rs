@@ -1,0 +1,73 @@
+//! Learning curves of policies: reward in evaluation over episodes of training.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+/// The reward of an episode without contact (paper, section "DDPG training result").
+pub const PERFECT: f64 = 22_500.0;
+
+/// Mean and standard deviation over trainings of the reward in evaluation. A training that has ended keeps its best.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct LearningCurve {
+    /// Name of the training configuration.
+    pub preset: String,
+    /// Trainings.
+    pub seeds: usize,
+    /// One entry an evaluation, in order.
+    pub points: Vec<CurvePoint>,
+}
+
+/// One evaluation over all trainings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct CurvePoint {
+    /// Episodes done.
+    pub episode: u64,
+    /// Mean reward.
+    pub mean_reward: f64,
+    /// Standard deviation of the reward over trainings.
+    pub deviation: f64,
+}
+
+impl LearningCurve {
+    /// Computes the curve from the rewards in evaluation of each training, by episode.
+    #[must_use]
+    pub fn from_evaluations(preset: &str, curves: &[BTreeMap<u64, f64>]) -> Self {
+        let episodes: BTreeSet<u64> = curves.iter().flat_map(|curve| curve.keys().copied()).collect();
+        let point = |episode| {
+            let rewards: Vec<f64> = curves.iter().filter_map(|curve| reward_at(curve, episode)).collect();
+            let n = rewards.len() as f64;
+            let mean_reward = rewards.iter().sum::<f64>() / n;
+            let variance = rewards.iter().map(|reward| (reward - mean_reward).powi(2)).sum::<f64>() / n;
+            let tenth = |reward: f64| (10.0 * reward).round() / 10.0;
+            CurvePoint { episode, mean_reward: tenth(mean_reward), deviation: tenth(variance.sqrt()) }
+        };
+        Self { preset: preset.to_owned(), seeds: curves.len(), points: episodes.into_iter().map(point).collect() }
+    }
+}
+
+/// Returns the reward of the last evaluation up to an episode, or the best reward if the training has ended before it.
+fn reward_at(curve: &BTreeMap<u64, f64>, episode: u64) -> Option<f64> {
+    let (&end, _) = curve.last_key_value()?;
+    if episode > end {
+        curve.values().copied().reduce(f64::max)
+    } else {
+        curve.range(..=episode).next_back().map(|(_, &reward)| reward)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_hold_their_last_value_and_then_their_best() {
+        let curve = BTreeMap::from([(5, 22_500.0), (10, 100.0)]);
+        let at = [4, 5, 9, 10, 11].map(|episode| reward_at(&curve, episode));
+        assert_eq!(at, [None, Some(22_500.0), Some(22_500.0), Some(100.0), Some(22_500.0)]);
+    }
+}

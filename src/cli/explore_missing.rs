@@ -1,0 +1,19 @@
+//! `crumple explore` in a build without the feature `explore`: an error that says how to enable it.
+
+use clap::Args;
+
+use super::{Failure, feature};
+
+/// Edit scenarios and watch campaigns in the browser (this build lacks the feature `explore`)
+#[derive(Args)]
+pub(super) struct Explore {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    ignored: Vec<std::ffi::OsString>,
+}
+
+impl Explore {
+    pub(super) fn run(self, _quiet: bool) -> Result<(), Failure> {
+        drop(self.ignored);
+        feature::EXPLORE.require().map_err(Failure::Input)
+    }
+}

@@ -1,0 +1,87 @@
+//! Optional features of the program, which are selected when it is compiled.
+
+use serde::Serialize;
+
+use super::Failure;
+use crumple_report::draw::Svg;
+use crumple_world::sim::Trace;
+
+/// Optional feature.
+#[derive(Serialize)]
+pub(super) struct Feature {
+    pub(super) name: &'static str,
+    pub(super) used_for: &'static str,
+    pub(super) enabled: bool,
+}
+
+pub(super) const EXPLORE: Feature =
+    Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
+pub(super) const PARQUET: Feature =
+    Feature { name: "parquet", used_for: "traces as Parquet files", enabled: cfg!(feature = "parquet") };
+pub(super) const PNG: Feature =
+    Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
+
+/// All optional features.
+pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
+
+impl Feature {
+    /// Returns the command that compiles crumple with the feature.
+    pub(super) fn command(&self) -> String {
+        format!("cargo build --release --features {}", self.name)
+    }
+
+    /// Checks that this build has the feature.
+    ///
+    /// # Errors
+    /// A text that says how to enable the feature.
+    pub(super) fn require(&self) -> Result<(), String> {
+        if self.enabled {
+            return Ok(());
+        }
+        let Self { name, used_for, .. } = self;
+        Err(format!(
+            "this build of crumple lacks the feature `{name}` ({used_for}): compile it with `{}`",
+            self.command()
+        ))
+    }
+}
+
+/// Checks that this build writes files with this extension.
+///
+/// # Errors
+/// As for [`Feature::require`].
+pub(super) fn require_format(extension: &str) -> Result<(), String> {
+    match extension {
+        "parquet" => PARQUET.require(),
+        "png" => PNG.require(),
+        _ => Ok(()),
+    }
+}
+
+/// Renders a figure as PNG.
+///
+/// # Errors
+/// [`Failure::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
+#[cfg(feature = "png")]
+pub(super) fn png(figure: &Svg) -> Result<Vec<u8>, Failure> {
+    figure.to_png(crumple_report::draw::PNG_SCALE).map_err(Failure::input)
+}
+
+#[cfg(not(feature = "png"))]
+pub(super) fn png(_: &Svg) -> Result<Vec<u8>, Failure> {
+    PNG.require().map_err(Failure::Input).map(|()| Vec::new())
+}
+
+/// Encodes a trace as Parquet.
+///
+/// # Errors
+/// [`Failure::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
+#[cfg(feature = "parquet")]
+pub(super) fn parquet(trace: &Trace) -> Result<Vec<u8>, Failure> {
+    crumple_report::export::parquet(trace).map_err(Failure::input)
+}
+
+#[cfg(not(feature = "parquet"))]
+pub(super) fn parquet(_: &Trace) -> Result<Vec<u8>, Failure> {
+    PARQUET.require().map_err(Failure::Input).map(|()| Vec::new())
+}
