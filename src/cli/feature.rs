@@ -25,9 +25,9 @@ pub(super) const PNG: Feature =
 pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
 
 impl Feature {
-    /// Returns the command that compiles crumple with the feature.
+    /// Returns the command that installs crumple with the feature, from a clone.
     pub(super) fn command(&self) -> String {
-        format!("cargo build --release --features {}", self.name)
+        format!("cargo install --locked --path . --features {}", self.name)
     }
 
     /// Checks that this build has the feature.
@@ -40,7 +40,7 @@ impl Feature {
         }
         let Self { name, used_for, .. } = self;
         Err(format!(
-            "this build of crumple lacks the feature `{name}` ({used_for}): compile it with `{}`",
+            "this build of crumple lacks the feature `{name}` ({used_for}): install it with `{}` in a clone",
             self.command()
         ))
     }

@@ -236,7 +236,7 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     ] {
         let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
         assert_eq!(listed["enabled"], enabled);
-        let command = format!("cargo build --release --features {feature}");
+        let command = format!("cargo install --locked --path . --features {feature}");
         assert_eq!(stdout(&doctor_text).contains(&command), !enabled);
         let output = crumple(folder.path(), arguments);
         match enabled {
