@@ -3,7 +3,6 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
 use crumple_learn::rl::{HeldOut, Learner, Trainer, TrainingConfig};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -12,7 +11,7 @@ use crumple_world::sim::{RecordingLevel, simulate_batch};
 use crate::clock::{least_s, least_wall_s, now_s};
 use crate::limits::register_peak;
 use crate::table::Figure;
-use crate::work::networks::{self, LARGE, acting, batch, config, large, learner, operations, policy, products, td3};
+use crate::work::networks::{self, acting, batch, config, large, learner, operations, policy, products, td3};
 use crate::work::rollouts::{runs, scenarios, steps};
 
 pub fn figures(say: &mut dyn FnMut(Figure)) {
@@ -40,26 +39,24 @@ fn updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() +
     }
 }
 
-/// Rollouts and updates as shares of the fastest large product of the same run, and of `registers`, what [`register_peak`] says.
+/// Measures rollouts and updates as shares of a large product of the same run, and of `registers`, the result of [`register_peak`].
+/// `cargo bench -p crumple-oracle` compares the large product with the one of candle.
 fn beside_the_peak(registers: f64, say: &mut dyn FnMut(Figure)) {
-    let (mut large, states, by_hand) = large();
-    let random = || Tensor::rand(-1.0_f32, 1.0, (LARGE, LARGE), &Device::Cpu).expect("a tensor");
-    let (left, right) = (random(), random());
+    let (mut large, states, large_operations) = large();
     let scenarios = scenarios(64);
     let runs = runs(&scenarios, Arc::new(policy(256)), EstimatorKind::Truth);
     let acts = |index: usize, result| 2 * steps(&runs[index], &result);
     let acts: usize = simulate_batch(&runs, RecordingLevel::Summary, acts).iter().sum();
-    let [hand_s, candle_s, rollouts_s, update_s] = least_s(
+    let [large_s, rollouts_s, update_s] = least_s(
         12,
         [
             &mut || _ = black_box(large.act(&states)[0]),
-            &mut || _ = black_box(left.matmul(&right).expect("shapes fit")),
             &mut || _ = black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome)),
             &mut updates(&config(256, 512), 512, 1),
         ],
     );
     let speed = |operations: usize, seconds: f64| operations as f64 / seconds;
-    let peak = speed(by_hand, hand_s).max(speed(operations(&[[LARGE; 3]]), candle_s));
+    let peak = speed(large_operations, large_s);
     let share_of = |limit, operations, seconds| 100.0 * speed(operations, seconds) / limit;
     let name = format!(
         "lockstep rollouts, 3 x 256 actor, share of a large product ({:.0} billion operations a second)",

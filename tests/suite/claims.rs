@@ -212,7 +212,7 @@ fn allowed(evidence: &[Value], claim: &Value) -> u8 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(4000))]
+    #![proptest_config(crumple_cases::cases(4000))]
     #[test]
     fn no_claim_is_stronger_than_its_evidence(evidence in prop::collection::vec(evidence(), 0..7), claim in claim()) {
         let ledger = Ledger::new(evidence);

@@ -1,9 +1,10 @@
-//! Random scenarios for the property tests, and how many of them to try.
+//! Random scenarios for the property tests.
 //!
 //! Everything is read from random bytes by [`crumple_fuzzing`], as the fuzzer reads it: one definition of what can happen.
 //! Bytes shrink to zero, and zero bytes are the paper's scenario 1.
 
 use arbitrary::Unstructured;
+pub(crate) use crumple_cases::cases;
 use crumple_fuzzing::{
     self, Checked, Crumple, LANE_CASE_BYTES, Oracle, SCENARIO_BYTES, SETUP_BYTES, Setup, Shape, TEST_CASE_BYTES,
     TestCase,
@@ -12,13 +13,6 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use proptest::prelude::*;
-
-/// A configuration for `normal` cases, scaled by `PROPTEST_CASES` as every other one is.
-pub(crate) fn cases(normal: u32) -> ProptestConfig {
-    let config = ProptestConfig::default();
-    let scaled = u64::from(normal) * u64::from(config.cases) / 256;
-    ProptestConfig { cases: scaled.max(1) as u32, max_shrink_iters: 2000, ..config }
-}
 
 /// Runs a scenario with everything recorded.
 pub(crate) fn traced(scenario: &Scenario, options: &RunOptions) -> Simulated {

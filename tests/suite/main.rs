@@ -1,7 +1,7 @@
 //! What crumple promises, by subject: one program, so that it is linked once.
 //!
-//! Property tests run the number of cases each states. `PROPTEST_CASES` scales them all together: 256 is the normal
-//! run, 25600 runs each a hundred times longer. Failures are kept beside the suite in `proptest-regressions/`.
+//! Each property test states its number of cases for `PROPTEST_CASES=256` (`crates/cases`). proptest keeps failures beside the
+//! suite in `proptest-regressions/`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 
 mod assessments;

@@ -431,7 +431,7 @@ fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(crumple_cases::cases(96))]
     /// A request that was damaged anywhere is answered as well, and with one clear error where it is one.
     #[test]
     fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {

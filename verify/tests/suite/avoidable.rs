@@ -188,7 +188,7 @@ fn kept_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 4000, max_global_rejects: 100_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::cases(4000) })]
 
     #[test]
     fn every_member_keeps_the_gap_that_was_proved(

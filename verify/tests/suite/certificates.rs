@@ -194,7 +194,7 @@ fn any_json() -> impl Strategy<Value = Value> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(3000))]
+    #![proptest_config(crumple_cases::cases(3000))]
 
     /// Anything anywhere in a file: an answer, never a panic.
     #[test]

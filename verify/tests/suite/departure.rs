@@ -38,7 +38,7 @@ fn own() -> Idm {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(crumple_cases::cases(300))]
 
     /// Whatever actions a network chooses, within the dead zone, beyond it and on both sides, whoever follows and however the leader brakes,
     /// through stops and contacts: every number that is observed is inside the bounds at every decision, and no gap is ever below its bound.

@@ -76,7 +76,7 @@ fn followed<'a>(actor: &'a Actor, ranges: Ranges, law: Law) -> Scene<'a> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(crumple_cases::cases(300))]
 
     /// Whatever a network does and whoever follows, through stops, brakes that fire and let go, and contacts: every number that is observed
     /// is inside the bounds at every decision, and no gap is ever below its bound.

@@ -66,7 +66,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(crumple_cases::cases(96))]
 
     /// Whatever a network does, whatever it is told within the errors, however the leader brakes: everything is inside the bounds at every
     /// decision, and no gap is below its bound at any half step. Boxes, and single starts, of which bounds are tightest.

@@ -71,7 +71,7 @@ fn is_in(range: Interval, value: &BigRational) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(crumple_cases::cases(2000))]
 
     #[test]
     fn results_hold_the_exact_results(

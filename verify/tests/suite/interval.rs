@@ -30,7 +30,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(crumple_cases::cases(2000))]
 
     #[test]
     fn results_hold_all_exact_results((x, of_x) in interval(), (y, of_y) in interval()) {

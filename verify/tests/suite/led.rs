@@ -62,7 +62,7 @@ fn any_limit() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(crumple_cases::cases(300))]
 
     /// Whatever a network does and however the leader brakes, through stops, fires and contacts: every number that is observed is
     /// inside the bounds at every decision, and no gap is ever below its bound.

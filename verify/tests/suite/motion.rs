@@ -23,7 +23,7 @@ fn holds(interval: Interval, value: &BigRational) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(crumple_cases::cases(2000))]
 
     #[test]
     fn a_box_holds_its_members_and_not_much_more(

@@ -114,7 +114,7 @@ fn layers() -> impl Strategy<Value = Vec<Layer>> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(1000))]
+    #![proptest_config(crumple_cases::cases(1000))]
 
     /// Centre, terms and rest are those of the formulas; rounding is allowed for in full, and with hardly anything on top. It
     /// is a millionth of what it is added to, so that no sample of what the network does would miss it.

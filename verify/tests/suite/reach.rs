@@ -102,7 +102,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(1000))]
+    #![proptest_config(crumple_cases::cases(1000))]
 
     /// What a network of any shape and functions answers to any member of a set of inputs is where the form of its answer has it.
     #[test]
@@ -163,7 +163,7 @@ pub fn is_bounded(
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+    #![proptest_config(crumple_cases::cases(200))]
 
     /// Whatever a network does, with and without a follower, through stops, fires and contacts: every number that is observed
     /// is inside the bounds at every decision, and no gap is ever below its bound.
@@ -509,7 +509,7 @@ proptest! {
 fn worst_errors_at_each_size() {
     const BLOCK: u32 = 5;
     let actor = Actor::from_bytes(&reference()).unwrap();
-    // As `cargo run --example filter_errors -- paper-1` prints them.
+    // As `cargo run -p crumple-experiments -- filter_errors paper-1` prints them.
     let filter = [0.058374, 0.058374, 0.42603, 0.23632, 0.42603, 1.7211, 0.95469, 1.7211];
     let mut ranges = paper(0.7, 0.2);
     (ranges.follower_brake_mps2, ranges.onset_steps) = (between(5.8, 6.2), between(100.0, 150.0));

@@ -27,7 +27,7 @@ fn sum_m(scene: &Scene, branch: &Branch, picks: &[f64], profiles: &[Vec<f64>]) -
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(1500))]
+    #![proptest_config(crumple_cases::cases(1500))]
 
     /// The bound: no member and no profile has a smaller sum than the least one found, not even the worst.
     #[test]
@@ -71,7 +71,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 6000, max_global_rejects: 1_000_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 1_000_000, ..crumple_cases::cases(6000) })]
 
     /// The rows: whoever escapes satisfies each of them.
     #[test]
@@ -86,7 +86,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 500, max_global_rejects: 100_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_global_rejects: 100_000, ..crumple_cases::cases(500) })]
 
     /// Random multipliers prove something or nothing, never something false.
     #[test]

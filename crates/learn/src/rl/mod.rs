@@ -4,8 +4,8 @@
 //! training always does its arithmetic in the same order, on however many threads, so a seed gives the same policy file to
 //! the last byte, alone or beside others, in one go or resumed.
 //!
-//! The update is written out by hand ([`Learner`]) over the same products that a policy acts with. `oracle` (a feature) is
-//! the plain formulation on candle's automatic differentiation, which it is tested against.
+//! [`Learner`] contains the update, written out over the products that a policy acts with. The workspace member `oracle`
+//! compares it with the plain formulation on candle's automatic differentiation.
 
 mod adam;
 mod backprop;
@@ -20,8 +20,6 @@ mod learner;
 mod limits;
 mod memory;
 mod observation;
-#[cfg(any(test, feature = "oracle"))]
-pub mod oracle;
 mod privileged;
 mod replay;
 mod reward;

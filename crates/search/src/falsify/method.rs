@@ -175,7 +175,7 @@ mod tests {
 
     proptest! {
         // Each case runs all methods twice.
-        #![proptest_config(ProptestConfig::with_cases(100))]
+        #![proptest_config(crumple_cases::cases(100))]
 
         /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
         #[test]

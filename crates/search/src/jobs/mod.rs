@@ -128,7 +128,7 @@ mod tests {
 
     #[cfg(unix)]
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(40))]
+        #![proptest_config(crumple_cases::cases(40))]
 
         /// Whatever somebody calls a controller or a folder, a shell reads it as that word, and nothing else is run.
         #[test]

@@ -137,7 +137,7 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(40))]
+        #![proptest_config(crumple_cases::cases(40))]
         /// The sign is that of the measures which assessments count.
         #[test]
         fn the_sign_is_that_of_the_measure(index in 0..200_u64, controller in 0..4_usize) {

@@ -52,7 +52,7 @@ fn driven_mps2(policy: &Policy, seen: &Observation) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(crumple_cases::cases(64))]
 
     #[test]
     fn one_state_and_many_get_the_same_bits(

@@ -68,7 +68,7 @@ fn largest_drop_mps(lead: &Recorded) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(crumple_cases::cases(96))]
 
     /// What was written is read, and every episode is a valid scenario that starts as recorded, whose leader drops
     /// speed faster than the threshold and can do what was recorded.

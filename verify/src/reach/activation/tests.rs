@@ -71,7 +71,7 @@ fn rounding(each: &Each, low: f64, high: f64) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(crumple_cases::cases(2000))]
 
     /// Whatever the range: what is computed lies on the line but for what is off it and for rounding; and what is off it is what it is
     /// at the ends, at kinks, and where the function is as steep as the line.

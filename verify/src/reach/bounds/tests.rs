@@ -40,7 +40,7 @@ fn rows<const N: usize, const M: usize>(most: f64) -> impl Strategy<Value = [[f6
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+    #![proptest_config(crumple_cases::cases(200))]
 
     /// A rectifier makes of each number c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ the chord of its range. What inputs have in common cancels in it,
     /// and double precision adds a billionth of a thousandth of all sizes to ρ.

@@ -36,7 +36,7 @@ fn of_any_size() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(500))]
+    #![proptest_config(crumple_cases::cases(500))]
 
     /// In rational arithmetic: the excess holds what is off the line at both ends, and hardly more, however unlike the ends are.
     #[test]

@@ -1,12 +1,10 @@
 //! The update against other formulations, and on a problem with a known optimum.
 
-use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
-use crate::rl::oracle::Oracle;
 use crate::rl::privileged::PRIVILEGED;
 use crate::rl::*;
-use crumple_world::policy::{Network, STATE};
+use crumple_world::policy::STATE;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Numbers that the networks see: those of two decisions.
@@ -143,54 +141,6 @@ fn gradients_agree_with_finite_differences_in_double_precision() {
     };
     agree(&critics_found[0], &differences(&critic, critic_loss), 2e-4);
     agree(&actor_found, &differences(&actor, actor_loss), 2e-4);
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(12))]
-
-    /// Gradients and, over several updates, parameters, targets and losses of the plain formulation: DDPG, and TD3 with any
-    /// of its options.
-    #[test]
-    fn updates_agree_with_candle(
-        seed: u64,
-        hidden in proptest::collection::vec(1..70_usize, 1..4),
-        count in 1..70_usize,
-        twin_critic: bool,
-        actor_every in 1..4_u32,
-        target_noise in prop_oneof![Just(0.0_f32), 0.05..0.5_f32],
-    ) {
-        let mut config = config(&hidden);
-        config.td3 = Td3Config { twin_critic, actor_every, target_noise, target_noise_limit: 0.3 };
-        let mut learner = learner(&config, seed);
-        let mut oracle = Oracle::new(&learner, &config.learning, &config.td3).unwrap();
-        let noises = || [0; 2].map(|_| stream(seed, Purpose::TargetNoise, 0));
-        let close = |found: &[f32], expected: &[f32], tolerance: f32| {
-            let largest = expected.iter().fold(1e-3_f32, |largest, value| largest.max(value.abs()));
-            found.len() == expected.len()
-                && found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance * largest)
-        };
-        let first = batch(seed, count);
-        let [mut noise, mut oracle_noise] = noises();
-        let (critics, actor) = learner.gradients(&first, &mut noise);
-        let (oracle_critics, oracle_actor) = oracle.gradients(&first, &mut oracle_noise).unwrap();
-        prop_assert_eq!((critics.len(), oracle_critics.len()), (1 + usize::from(twin_critic), critics.len()));
-        prop_assert!(critics.iter().zip(&oracle_critics).all(|(found, expected)| close(found, expected, 1e-4)));
-        prop_assert!(close(&actor, &oracle_actor, 1e-4));
-        let [mut noise, mut oracle_noise] = noises();
-        for index in 0..6 {
-            let batch = batch(seed ^ index, count);
-            let found = learner.update(&batch, &mut noise);
-            let expected = oracle.update(&batch, &mut oracle_noise).unwrap();
-            prop_assert!((found.critic - expected.critic).abs() <= 2e-2 * expected.critic.max(0.01));
-        }
-        let expected = oracle.parameters().unwrap();
-        prop_assert_eq!(learner.networks().count(), expected.len());
-        for (found, expected) in learner.networks().map(Network::parameters).zip(expected) {
-            // Adam divides by the gradient's size, so a gradient near 0 may step either way by the rate.
-            let apart = found.iter().zip(&expected).filter(|(a, b)| (*a - *b).abs() > 1e-4).count();
-            prop_assert!(apart * 20 <= expected.len().max(20), "{} of {}", apart, expected.len());
-        }
-    }
 }
 
 /// Two states, told apart by the sign of the first number. The action is followed by the other state; in state ±1 the

@@ -112,7 +112,7 @@ fn a_divided_reference_search_is_that_of_one_machine() {
         let single = single(&campaign);
         let expected = files(single.path());
         assert!(expected.len() > 8, "it finds failures: {:?}", expected.keys());
-        proptest!(ProptestConfig::with_cases(5), |(shards in divisions())| {
+        proptest!(crumple_cases::cases(5), |(shards in divisions())| {
             let folders: Vec<PathBuf> = shards.iter().map(|shard| folder(root.path(), *shard)).collect();
             let out = tempfile::tempdir().unwrap();
             let merged = merged(&folders).unwrap();
@@ -138,7 +138,7 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
     one.write_in(out.path()).unwrap();
     assert!(files(out.path()) == files(single.path()), "shard 1/1 is the campaign");
     let of_one = one.summary().unwrap();
-    proptest!(ProptestConfig::with_cases(5), |(shards in divisions(), keep in 1..20_usize)| {
+    proptest!(crumple_cases::cases(5), |(shards in divisions(), keep in 1..20_usize)| {
         let mut parts = shards.clone();
         parts.truncate(keep);
         let folders: Vec<PathBuf> = parts.iter().map(|shard| folder(root.path(), *shard)).collect();

@@ -87,7 +87,7 @@ fn gap_m(frame: &Frame, state: ShieldState, wanted_mps2: f64, noise_mps2: f64, a
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(crumple_cases::cases(2000))]
 
     /// At every instant of a step that is let through the gap is open, and a way out is left at its end, whatever the vehicle
     /// ahead and noise do; and whatever is held back has one reason or the other.

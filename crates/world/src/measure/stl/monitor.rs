@@ -276,7 +276,7 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(2000))]
+        #![proptest_config(crumple_cases::cases(2000))]
 
         #[test]
         fn equals_the_definition((x, y) in trace(), formula in formula()) {

@@ -201,7 +201,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: ProptestConfig::default().cases / 2, max_shrink_iters: 50, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { max_shrink_iters: 50, ..crumple_cases::cases(128) })]
 
     /// Wherever, in whatever steps, on whatever road, whoever drives.
     #[test]

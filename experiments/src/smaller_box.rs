@@ -1,23 +1,24 @@
 //! Prints a box of `crumple verify reach --box` with each of its ranges shrunk about its middle to a share of its width:
 //!
 //! ```text
-//! cargo run --release --example smaller_box -- corpora/boxes/paper-1.toml 0.03
+//! cargo run --release -p crumple-experiments -- smaller_box corpora/boxes/paper-1.toml 0.03
 //! ```
 
-use std::error::Error;
 use std::path::Path;
 
+use crate::Failure;
 use crumple_search::evidence::BoxSpec;
 use crumple_verify::Interval;
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    let mut arguments = arguments.iter();
     let path = arguments.next().ok_or("name the file of a box, and a share")?;
     let share: f64 = arguments.next().ok_or("name a share besides")?.parse()?;
     if !(0.0..=1.0).contains(&share) {
         return Err("the share must be from 0 to 1".into());
     }
-    let mut spec = BoxSpec::from_toml(&std::fs::read_to_string(&path)?, Path::new(&path))?;
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
+    let mut spec = BoxSpec::from_toml(&text, Path::new(path))?;
     let shrunk = |range: Interval| {
         let [middle, half] = [0.5 * (range.low() + range.high()), 0.5 * share * (range.high() - range.low())];
         Interval::new(middle - half, middle + half)

@@ -1,7 +1,7 @@
 //! What controllers do in draws of the built-in spaces, on both sides: contacts, and braking without cause.
 //!
 //! ```sh
-//! cargo run --release --example both_sides -- 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
+//! cargo run --release -p crumple-experiments -- both_sides 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
 //! ```
 //! The first argument is how many draws of each space; the draws are those of a seed that neither trainings nor selections have.
 //! An argument that ends in `.svg` is a figure to draw: contacts in `high-risk` against jerk in `traffic`. One that ends in `.csv` is a table of
@@ -13,10 +13,9 @@
 //! (`NeedlessBraking::harder_than`), `harder` with braking harder than 2 m/s² whatever its cause, if only for a step. What has a cause is
 //! what the measure of braking without cause says (`measure::NeedlessBraking`), which counts what lasts 0.2 s.
 
-use std::error::Error;
 use std::path::Path;
-use std::process::ExitCode;
 
+use crate::Failure;
 use crumple::report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Svg};
 use crumple::world::measure::{NeedlessBraking, Usefulness};
 use crumple::world::observation::EstimatorKind;
@@ -30,8 +29,6 @@ const BLOCK: u64 = 100;
 const MOST_DRAWS: u64 = 1_000_000;
 /// Braking harder than this has to have a cause behind a leader that never brakes, in m/s².
 const FIRM_BRAKE_MPS2: f64 = 2.0;
-
-const USAGE: &str = "usage: both_sides DRAWS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]...";
 
 #[derive(Default)]
 struct Sums {
@@ -52,14 +49,8 @@ struct Sums {
 const EMERGENCIES: &str = "high-risk";
 const TRAFFIC: &str = "traffic";
 
-fn main() -> ExitCode {
-    match Asked::by(std::env::args().skip(1)).and_then(|asked| measured(&asked)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}; {USAGE}");
-            ExitCode::from(2)
-        }
-    }
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    measured(&Asked::by(arguments.iter().cloned())?)
 }
 
 /// A mark of the figure, and a line of a table of them.
@@ -95,7 +86,7 @@ struct Asked {
 }
 
 impl Asked {
-    fn by(mut arguments: impl Iterator<Item = String>) -> Result<Self, Box<dyn Error>> {
+    fn by(mut arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
         let draws = arguments.next().ok_or("how many draws?")?;
         let draws = match draws.parse() {
             Ok(count) if (1..=MOST_DRAWS).contains(&count) => count,
@@ -133,7 +124,7 @@ impl Asked {
     }
 }
 
-fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Asked) -> Result<(), Box<dyn Error>> {
+fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Asked) -> Result<(), Failure> {
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
@@ -213,7 +204,7 @@ struct Firm {
     is_there: bool,
 }
 
-fn driven(space: &str, controller: &NamedController, draws: u64) -> Result<Sums, Box<dyn Error>> {
+fn driven(space: &str, controller: &NamedController, draws: u64) -> Result<Sums, Failure> {
     let space = built_in_space(space).ok_or("no such space")?;
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let mut sums = Sums::default();

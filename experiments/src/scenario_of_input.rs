@@ -1,18 +1,17 @@
 //! Prints the scenario in an input of `cargo fuzz run scenario`, with the command that runs it:
 //!
 //! ```text
-//! cargo run --release --example scenario_of_input -- fuzz/artifacts/scenario/crash-1234 > found.toml
+//! cargo run --release -p crumple-experiments -- scenario_of_input fuzz/artifacts/scenario/crash-1234 > found.toml
 //! ```
 //!
 //! `CRUMPLE_CONTROLLER` is what it was for the fuzzer: `baseline` if it is not set, `any` for the input's own choice.
 
-use std::error::Error;
-
+use crate::Failure;
 use crumple_fuzzing::CollisionSearch;
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let path = std::env::args().nth(1).ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
-    let bytes = std::fs::read(&path).map_err(|error| format!("{path}: {error}"))?;
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    let path = arguments.first().ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
+    let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());
     print!("{}", CollisionSearch::new(&controller, None)?.test_case(&bytes).reproducer());
     Ok(())

@@ -1,16 +1,14 @@
-//! The learner's update, stated plainly on candle's tensors and automatic differentiation.
+//! The update of [`Learner`] on candle's tensors and automatic differentiation, with the options of TD3.
 //!
-//! Slow and easy to believe: what [`Learner`] computes by hand is tested against this, and its speed is
-//! measured against it. TD3's options included.
+//! Slow and easy to believe: `tests/updates.rs` compares what [`Learner`] computes by hand with it, and `benches/training.rs`
+//! compares their speeds. A workspace member of its own, because candle brings 66 packages that nothing else needs.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::config::{LearningConfig, Td3Config};
-use super::learner::{Learner, Losses, Trained};
-use super::replay::Batch;
+use crumple_learn::rl::{Batch, Learner, LearningConfig, Losses, Td3Config, Trained};
 use crumple_world::policy::Network;
 use crumple_world::random::Stream;
 

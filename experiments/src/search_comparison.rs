@@ -1,16 +1,16 @@
 //! What `auto` finds beside the searches it is made of: in all built-in spaces, over some seeds, with a test of chance.
 //!
 //! ```sh
-//! cargo run --release --example search_comparison -- 1000 5        # evaluations of each method, seeds
+//! cargo run --release -p crumple-experiments -- search_comparison 1000 5        # evaluations of each method, seeds
 //! ```
 //! Each space is searched under a controller that fails in it, but seldom. Methods are compared by the evaluations to the first
 //! failure, by the smallest robustness, and by the kinds of failures (who hits whom, and how); `p` is the exact permutation test of the
 //! means: how often chance alone would leave `auto` as far behind the best of the others as it is, or farther. Where it is not
 //! behind there is nothing to test.
 
-use std::error::Error;
 use std::path::Path;
 
+use crate::Failure;
 use crumple::search::falsify::Method;
 use crumple::search::falsify::campaign::{Aim, Summary};
 use crumple::world::observation::EstimatorKind;
@@ -64,8 +64,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    let mut arguments = arguments.iter();
     let budget: u64 = arguments.next().ok_or("how many evaluations?")?.parse()?;
     let seeds: u64 = arguments.next().ok_or("how many seeds?")?.parse()?;
     if !(1..=10).contains(&seeds) {
@@ -102,7 +102,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn search(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Box<dyn Error>> {
+fn search(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Failure> {
     let campaign = Campaign {
         controller: NamedController::find(controller, Path::new("."))?,
         estimator: EstimatorKind::Kalman,

@@ -2,15 +2,15 @@
 //! takes to put many of them together.
 //!
 //! ```sh
-//! cargo run --release --example synthetic_campaign -- /dev/shm/campaign 1000000000 10000
+//! cargo run --release -p crumple-experiments -- synthetic_campaign /dev/shm/campaign 1000000000 10000
 //! time crumple merge /dev/shm/campaign/shards/* --out /dev/shm/campaign/rate
 //! ```
 //!
 //! The certificate that comes of it is refused by `crumple check --rerun`, as every invented count is.
 
-use std::error::Error;
 use std::path::Path;
 
+use crate::Failure;
 use crumple_search::evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
 use crumple_search::shard::Shard;
 use crumple_search::work::{Asked, Work};
@@ -20,10 +20,9 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use rayon::prelude::*;
 
-fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [folder, runs, shards] = arguments.as_slice() else {
-        return Err("usage: synthetic_campaign FOLDER RUNS SHARDS".into());
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    let [folder, runs, shards] = arguments else {
+        return Err(format!("{} arguments, and there must be three", arguments.len()).into());
     };
     let controller = ControllerSpec::named("idm").ok_or("no such controller")?;
     let plan = RatePlan::new(RateConfig {
@@ -39,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
 }
 
 /// A failure in every hundredth block.
-fn write(plan: &RatePlan, shard: Shard, folder: &Path) -> Result<(), Box<dyn Error + Send + Sync>> {
+fn write(plan: &RatePlan, shard: Shard, folder: &Path) -> Result<(), Failure> {
     let says = serde_json::json!({ "version": 1, "shard": shard, "count": plan.record() });
     let configuration = serde_json::to_string_pretty(&says)? + "\n";
     let asked = Asked {

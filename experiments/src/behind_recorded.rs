@@ -2,17 +2,16 @@
 //! vehicle behind.
 //!
 //! ```sh
-//! cargo run --release --example behind_recorded -- recordings/*.csv idm acc-aeb corpora/policy/road.safetensors
+//! cargo run --release -p crumple-experiments -- behind_recorded recordings/*.csv idm acc-aeb corpora/policy/road.safetensors
 //! ```
 //! Arguments that end in `.csv` are recordings that `crumple import` reads, the others controllers. Every recorded vehicle leads: its
 //! unbroken motion is cut into pieces of half a minute, and the last one, if it is longer than ten seconds. The ego starts at the recorded
 //! speed and gap of the vehicle behind it, or where that is not known, at the leader's speed with a time gap of 1.5 s; behind it `acc-aeb`
 //! follows at the ego's speed with 2 m and 1.2 s.
 
-use std::error::Error;
 use std::path::Path;
-use std::process::ExitCode;
 
+use crate::Failure;
 use crumple::world::control::ControllerSpec;
 use crumple::world::measure::Usefulness;
 use crumple::world::observation::EstimatorKind;
@@ -22,8 +21,6 @@ use crumple::world::scenario::{
     VehicleSpec,
 };
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trace, simulate_batch};
-
-const USAGE: &str = "usage: behind_recorded RECORDING.csv... CONTROLLER...";
 
 const STEP_S: f64 = 0.01;
 const PIECE_S: f64 = 30.0;
@@ -44,14 +41,8 @@ struct Sums {
     squares: [f64; 2],
 }
 
-fn main() -> ExitCode {
-    match Asked::by(std::env::args().skip(1)).and_then(|asked| measured(&asked)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}; {USAGE}");
-            ExitCode::from(2)
-        }
-    }
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+    measured(&Asked::by(arguments.iter().cloned())?)
 }
 
 /// What the arguments ask for.
@@ -61,7 +52,7 @@ struct Asked {
 }
 
 impl Asked {
-    fn by(arguments: impl Iterator<Item = String>) -> Result<Self, Box<dyn Error>> {
+    fn by(arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
         let (recordings, names): (Vec<String>, Vec<String>) =
             arguments.partition(|argument| argument.ends_with(".csv"));
         if recordings.is_empty() {
@@ -89,7 +80,7 @@ impl Asked {
     }
 }
 
-fn measured(Asked { scenarios, controllers }: &Asked) -> Result<(), Box<dyn Error>> {
+fn measured(Asked { scenarios, controllers }: &Asked) -> Result<(), Failure> {
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
@@ -185,7 +176,7 @@ fn scenario(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[
     Scenario::new(spec).inspect_err(|error| eprintln!("left out: vehicle {leader}, sample {first}: {error}")).ok()
 }
 
-fn driven(scenarios: &[Scenario], controller: &NamedController) -> Result<Sums, Box<dyn Error>> {
+fn driven(scenarios: &[Scenario], controller: &NamedController) -> Result<Sums, Failure> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
@@ -254,7 +245,7 @@ impl Ridden {
 mod tests {
     use super::*;
 
-    const PLATOON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
+    const PLATOON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/recordings/synthetic-platoon.csv");
 
     #[test]
     fn arguments_that_make_no_sense_are_named() {

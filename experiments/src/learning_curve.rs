@@ -2,15 +2,18 @@
 //! states of its own.
 //!
 //! ```sh
-//! cargo run --release --example learning_curve -- reports/training-evaluations.csv paper-net-to-the-end curve.svg
+//! cargo run --release -p crumple-experiments -- learning_curve reports/training-evaluations.csv paper-net-to-the-end curve.svg
 //! ```
 //! The paper's figure 3 has no numbers to draw it from. Its text has two: convergence at approximately the 400th episode, with a reward
 //! of 22 500.
 
 use std::collections::BTreeMap;
-use std::error::Error;
-use std::process::ExitCode;
 
+<<<<<<< HEAD:examples/learning_curve.rs
+=======
+use crate::Failure;
+use crumple_learn::rl::{LearningCurve, PERFECT};
+>>>>>>> 3a3e9eabdb42391745d26bcdad0069b8f4bcb246:experiments/src/learning_curve.rs
 use crumple_report::figures::{StatedConvergence, learning_curve_beside};
 use crumple_world::policy::{LearningCurve, PERFECT};
 
@@ -26,17 +29,7 @@ struct Evaluation {
 /// Section "DDPG training result".
 const PAPER: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: PERFECT, from_episode: 400 };
 
-fn main() -> ExitCode {
-    match drawn(&std::env::args().skip(1).collect::<Vec<_>>()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}; usage: learning_curve TABLE.csv CONFIGURATION PICTURE.svg");
-            ExitCode::from(2)
-        }
-    }
-}
-
-fn drawn(arguments: &[String]) -> Result<(), Box<dyn Error>> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     let [table, configuration, picture] = arguments else {
         return Err(format!("{} arguments, and there must be three", arguments.len()).into());
     };

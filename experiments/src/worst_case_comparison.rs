@@ -1,9 +1,8 @@
 //! What convex programming finds, beside what sampling and searching find within the same envelope and budget.
 //!
-//! `cargo run --release --example worst_case_comparison`: the tables of reports/worst-case.md.
+//! `cargo run --release -p crumple-experiments -- worst_case_comparison`: the tables of reports/worst-case.md.
 
-#![allow(clippy::expect_used, reason = "an example may stop at what cannot happen")]
-
+use crate::Failure;
 use crumple_search::falsify::{Cube, Method};
 use crumple_search::worst_case::{Aim, Envelope, attack, hunt};
 use crumple_world::control::ControllerSpec;
@@ -22,9 +21,10 @@ const BUDGET: usize = 3000;
 /// As many knots as the sequential program has.
 const KNOTS: usize = 26;
 
-fn main() {
+pub(crate) fn run(_: &[String]) -> Result<(), Failure> {
     against_samples();
     against_searches();
+    Ok(())
 }
 
 /// Part 1: the mildest profile against `baseline`, and the mildest of uniform samples.

@@ -1,6 +1,6 @@
 //! Training and acting: time of one update and of one decision.
 //!
-//! `cargo bench --bench training`. Compared in one run, on one thread unless it says otherwise: the update by hand, the plain
+//! `cargo bench -p crumple-oracle`. Compared in one run, on one thread unless it says otherwise: the update by hand, the plain
 //! formulation on candle, and the matrix products that an update contains, made by candle. The item counted is a floating-point
 //! operation of the matrix products, so that speeds can be set against three upper bounds: multiply-adds in registers, which
 //! nothing exceeds, and one large product by candle and by the project's own routine.
@@ -10,7 +10,7 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use crumple_learn::rl::oracle::Oracle;
+use crumple_oracle::Oracle;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{Past, Workspace};
 use crumple_world::random::{Purpose, stream};
@@ -20,7 +20,7 @@ use divan::Bencher;
 use divan::counter::ItemsCount;
 use pulp::{Arch, Simd, WithSimd};
 
-#[path = "work/networks.rs"]
+#[path = "../../benches/work/networks.rs"]
 #[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
 mod networks;
 

@@ -1,0 +1,28 @@
+//! The number of cases of every property test in the workspace.
+//!
+//! `PROPTEST_CASES` scales all tests together. `cargo test` reads 64 from `.cargo/config.toml`, `.ci/run` sets 256.
+
+use proptest::test_runner::Config;
+
+/// Cases of a property test that states no number.
+const NORMAL: u64 = 256;
+
+/// Returns a configuration for `normal` cases at `PROPTEST_CASES=256`, in proportion for other values, at least one.
+#[must_use]
+pub fn cases(normal: u32) -> Config {
+    let config = Config::default();
+    let scaled = (u64::from(normal) * u64::from(config.cases)).div_ceil(NORMAL);
+    Config { cases: u32::try_from(scaled).unwrap_or(u32::MAX), max_shrink_iters: 2000, ..config }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cases_are_in_proportion_to_the_variable() {
+        let variable = Config::default().cases;
+        assert_eq!(cases(256).cases, variable);
+        assert!(cases(5).cases >= 1 && cases(2560).cases == 10 * variable);
+    }
+}

@@ -1,0 +1,62 @@
+//! Runs the experiments behind the reports and the corpora: `cargo run --release -p crumple-experiments -- NAME [ARGUMENT...]`.
+//!
+//! Each module states what it prints and what its arguments are. Without a name the program lists the experiments.
+
+mod behind_recorded;
+mod both_sides;
+mod filter_errors;
+mod learning_curve;
+mod scenario_of_input;
+mod search_comparison;
+mod smaller_box;
+mod synthetic_campaign;
+#[allow(clippy::expect_used, reason = "its problems are built in")]
+mod worst_case_comparison;
+
+use std::process::ExitCode;
+
+/// A reason why an experiment did not run.
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// An experiment that the command line names.
+struct Experiment {
+    name: &'static str,
+    arguments: &'static str,
+    run: fn(&[String]) -> Result<(), Failure>,
+}
+
+const EXPERIMENTS: [Experiment; 9] = [
+    Experiment { name: "behind_recorded", arguments: "RECORDING.csv... CONTROLLER...", run: behind_recorded::run },
+    Experiment {
+        name: "both_sides",
+        arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]...",
+        run: both_sides::run,
+    },
+    Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
+    Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
+    Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
+    Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
+    Experiment { name: "smaller_box", arguments: "BOX.toml SHARE", run: smaller_box::run },
+    Experiment { name: "synthetic_campaign", arguments: "FOLDER RUNS SHARDS", run: synthetic_campaign::run },
+    Experiment { name: "worst_case_comparison", arguments: "", run: worst_case_comparison::run },
+];
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let named = arguments.split_first();
+    let found = named.and_then(|(name, rest)| Some((EXPERIMENTS.iter().find(|one| one.name == name)?, rest)));
+    let Some((experiment, rest)) = found else {
+        eprintln!("error: name an experiment:");
+        for Experiment { name, arguments, .. } in &EXPERIMENTS {
+            eprintln!("  {name} {arguments}");
+        }
+        return ExitCode::from(2);
+    };
+    match (experiment.run)(rest) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}; usage: {} {}", experiment.name, experiment.arguments);
+            ExitCode::from(2)
+        }
+    }
+}
