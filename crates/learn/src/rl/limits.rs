@@ -142,7 +142,10 @@ impl TrainingConfig {
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
             ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
             // The memory and its checkpoint.
-            ("replay.capacity", float_bytes(2 * (self.remembered().numbers() as u64 + 1) * self.replay.capacity as u64)),
+            (
+                "replay.capacity",
+                float_bytes(2 * (self.remembered().numbers() as u64 + 1) * self.replay.capacity as u64),
+            ),
             ("evaluation.ranking_draws", draws * DRAW_BYTES),
         ]
     }

@@ -37,9 +37,8 @@ pub fn find(folder: &Path) -> Result<Found, WorkError> {
     }
     let path = folder.join(MANIFEST);
     let Some(manifest) = Manifest::read(&path)? else {
-        let is_own = |path: &PathBuf| {
-            disk::is_unfinished(path) || [LOCK, PREVIOUS].iter().any(|own| path.ends_with(own))
-        };
+        let is_own =
+            |path: &PathBuf| disk::is_unfinished(path) || [LOCK, PREVIOUS].iter().any(|own| path.ends_with(own));
         return match entries_of(folder)?.iter().all(is_own) {
             true => Ok(Found::Nothing),
             false => Err(WorkError::missing(&path)),

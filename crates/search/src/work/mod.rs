@@ -46,7 +46,6 @@ pub fn is_there(folder: &Path) -> bool {
 /// Folder in which earlier versions kept older copies of files while the work lasted.
 const PREVIOUS: &str = "previous";
 
-
 /// The manifest of files that are written all at once, by whoever made them, as those of a report are: `work.json` beside them, and
 /// [`examine`] knows what was cut, edited or moved since.
 ///
@@ -325,12 +324,10 @@ impl Work {
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
         match folder.filter(|folder| !manifest.folders().contains(folder)) {
             None => Ok(()),
-            Some(folder) => {
-                match entries_of(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
-                    Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
-                    None => Ok(()),
-                }
-            }
+            Some(folder) => match entries_of(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
+                Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
+                None => Ok(()),
+            },
         }
     }
 
