@@ -11,7 +11,7 @@ use super::simulate::Format;
 use super::{Failure, output};
 use crumple_report::assessment::REPORT;
 use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
-use crumple_search::work::{Examined, Restored, examine, is_there, restore};
+use crumple_search::work::{Examined, examine, is_there};
 use crumple_world::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
@@ -20,9 +20,7 @@ use crumple_world::quoted::Terminal;
 A folder of `crumple falsify`, `verify rate`, `train` or `retrain` holds `work.json`, which says of every file how long it is and its SHA-256. \
 Nothing is changed here, and all that is damaged is named; --resume would stop at the first.
 
-While work is under way, what only doing it again could make again (checkpoints, counts) is kept twice: as it is, and in the folder `previous` \
-as it was before. --restore goes back to that, where something is damaged; --resume then ends with the same results. What is \
-damaged and was not kept cannot be gone on from: begin anew in another --out, with the same seed it ends with the same results.
+Damaged work cannot be resumed: begin anew in another --out. The same seed ends with the same results.
 
 Files beside those of the work are named, and left alone; so are `training.json` and the learning curves of a folder of trainings, which every \
 `train` writes anew. A report of `crumple assess` has a `work.json`, too; the evidence kept in its folder `evidence` is checked when it is used.
@@ -31,15 +29,11 @@ Damage is exit code 1.
 It finds what was cut, edited, moved or lost, on purpose or by accident; not the work of somebody who wrote files and `work.json` anew.
 
 Examples:
-  crumple fsck runs/baseline
-  crumple fsck --restore runs/seed-3")]
+  crumple fsck runs/baseline runs/seed-3")]
 pub(super) struct Fsck {
     /// Folders of campaigns, counts, trainings, retrainings and reports
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Go back to what was kept, where something is damaged
-    #[arg(long)]
-    restore: bool,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
@@ -57,12 +51,9 @@ struct Found {
     is_whole: bool,
     files: usize,
     damaged: Vec<DamagedFile>,
-    can_be_restored: bool,
     /// What lies where nothing but the work may be, and beside it.
     strangers: Vec<String>,
     beside: Vec<String>,
-    /// What `--restore` brought back.
-    restored: Vec<String>,
     missing_evaluations: u64,
 }
 
@@ -84,15 +75,13 @@ impl Found {
             is_whole: false,
             files: 0,
             damaged: Vec::new(),
-            can_be_restored: false,
             strangers: Vec::new(),
             beside: Vec::new(),
-            restored: Vec::new(),
             missing_evaluations: 0,
         }
     }
 
-    fn of(folder: &Path, found: &Examined, restored: Option<&Restored>, missing_evaluations: u64) -> Self {
+    fn of(folder: &Path, found: &Examined, missing_evaluations: u64) -> Self {
         let damaged = found.files.iter().filter_map(|(name, state)| {
             let problem = state.as_ref().err()?.clone();
             Some(DamagedFile { name: name.clone(), problem })
@@ -106,10 +95,8 @@ impl Found {
             is_whole: found.is_whole(),
             files: found.files.len(),
             damaged: damaged.collect(),
-            can_be_restored: found.can_be_restored,
             strangers: found.strangers.clone(),
             beside: found.beside.clone(),
-            restored: restored.map(|restored| restored.restored.clone()).unwrap_or_default(),
             missing_evaluations,
         }
     }
@@ -119,7 +106,7 @@ impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
         let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), None);
         for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
-            let found = self.look(&folder, &mut text).unwrap_or_else(|failure| {
+            let found = Self::look(&folder, &mut text).unwrap_or_else(|failure| {
                 text += &format!("{}\n", Terminal(&failure.to_string()));
                 let found = Found::unreadable(&folder, &failure);
                 unreadable.get_or_insert(failure);
@@ -147,13 +134,11 @@ impl Fsck {
     }
 
     /// What there is in a folder; the text says it to a reader.
-    fn look(&self, folder: &Path, text: &mut String) -> Result<Found, Failure> {
+    fn look(folder: &Path, text: &mut String) -> Result<Found, Failure> {
         if !is_there(folder) {
             let problem = "no folder of work: it holds no work.json";
             return Err(Failure::Input(format!("{}: {problem}", folder.display())));
         }
-        let restored = if self.restore { restore(folder)? } else { None };
-        *text += &restored.as_ref().map_or_else(String::new, |restored| back(folder, restored));
         let mut found = with_journal(folder, examine(folder)?)?;
         if found.kind == REPORT {
             // Both are for the next report, and have hashes of their own.
@@ -163,7 +148,7 @@ impl Fsck {
         let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
         let missing = part.map_or(0, |part| part.missing());
         *text += &described(folder, &found, missing);
-        Ok(Found::of(folder, &found, restored.as_ref(), missing))
+        Ok(Found::of(folder, &found, missing))
     }
 }
 
@@ -176,16 +161,6 @@ fn seeds_in(folder: &Path) -> Vec<PathBuf> {
     let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
     seeds.sort_unstable();
     if seeds.is_empty() || is_there(folder) { vec![folder.to_owned()] } else { seeds }
-}
-
-/// What was done to go back.
-fn back(folder: &Path, restored: &Restored) -> String {
-    let damaged = restored.damaged.join(", ");
-    let text = match restored.restored.is_empty() {
-        true => format!("{}: {damaged} was damaged, and is whole again", folder.display()),
-        false => format!("{}: {damaged} damaged; as before again: {}", folder.display(), restored.restored.join(", ")),
-    };
-    format!("{}\n", Terminal(&text))
 }
 
 fn described(folder: &Path, found: &Examined, missing_evaluations: u64) -> String {
@@ -212,11 +187,7 @@ fn described(folder: &Path, found: &Examined, missing_evaluations: u64) -> Strin
         }
     }
     if is_damaged {
-        text += if found.can_be_restored {
-            "  --restore goes back to what was kept before that\n"
-        } else {
-            "  nothing was kept to go back to: begin anew in another --out\n"
-        };
+        text += "  damaged work cannot be resumed: begin anew in another --out\n";
     }
     for name in &found.strangers {
         text += &format!("  {}: not of this work, and where only its files may be: move it away\n", Terminal(name));

@@ -120,7 +120,7 @@ struct Incomplete {
 /// Puts shards of an estimate together, and prints the estimate.
 pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> Result<(), Failure> {
     let Some((_, report)) = merged.write_in(folder)? else {
-        let (missing_repetitions, shards) = (merged.missing(), merged.missing_shards());
+        let (missing_repetitions, shards) = (merged.missing_parts(), merged.missing_shards());
         let gate = format!("{missing_repetitions} repetitions are missing{shards}, and nothing is written");
         let printed = match format {
             Format::Json => output::print_json(&Incomplete { missing_repetitions, shards }),

@@ -299,7 +299,7 @@ impl RunSuite {
 /// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
 pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
     let Some(result) = merged.result() else {
-        let (missing_tests, shards) = (merged.missing(), merged.missing_shards());
+        let (missing_tests, shards) = (merged.missing_tests(), merged.missing_shards());
         let missing = &missing_tests;
         let mut shown: Vec<_> = missing.iter().take(MOST_SHOWN).cloned().collect();
         if let Some(more @ 1..) = missing.len().checked_sub(MOST_SHOWN) {

@@ -4,7 +4,6 @@
 //! |---|---|
 //! | `offer` | what the page may speak of: the scenarios, controllers and folders it was started with |
 //! | `gate` | who is let in: the token, the host and the origin of a request |
-//! | `idle` | connections that wait for their client, which make room for others |
 //! | `refused` | everything a request can be answered with instead of what it asks for |
 //! | `request` | what the page sends: a scenario and what was changed of it |
 //! | `drawn` | runs of a scenario: verdicts, diagrams, the view from above |
@@ -30,7 +29,6 @@ mod avoided;
 mod campaign;
 mod drawn;
 mod gate;
-mod idle;
 mod offer;
 mod page;
 mod refused;

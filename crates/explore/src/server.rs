@@ -1,12 +1,14 @@
 //! Connections, their limits, and the end.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::fmt;
 use std::future::{poll_fn, ready};
 use std::io;
 use std::net::{Ipv4Addr, TcpListener};
-use std::pin::{Pin, pin};
+use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -19,17 +21,15 @@ use hyper::service::service_fn;
 use hyper::{Method, Request, Response};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::runtime::Runtime;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::AbortHandle;
 use tokio::time::{sleep, timeout};
 
 use crate::answer::{Answer, Application};
 use crate::gate::Gate;
-use crate::idle::{Idle, Place};
 use crate::offer::{Offer, OfferError};
 use crate::refused::Refused;
 
-/// Most connections at once. Beyond that, the connection that has waited longest for its client makes room for a new one. Only requests
-/// that are being answered keep their place.
+/// Most connections at once. Beyond that, the oldest connection whose request is not being answered ends.
 const MOST_CONNECTIONS: usize = 256;
 /// Most bytes of what is asked: a scenario of some minutes of scripted motion.
 const MOST_BYTES: usize = 1 << 20;
@@ -167,59 +167,57 @@ impl Server {
 }
 
 async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>, patience: Duration) {
-    let connections = Arc::new(Semaphore::new(MOST_CONNECTIONS));
-    let idle = Arc::new(Idle::default());
+    let mut connections = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of file descriptors, as likely as not: some will be free soon.
             sleep(A_MOMENT).await;
             continue;
         };
-        // Closed by nobody.
-        let Some(permit) = room(&connections, &idle).await else { return };
-        let (application, idle) = (Arc::clone(&application), Arc::clone(&idle));
-        tokio::spawn(async move {
-            let place = idle.place();
-            let service = service_fn(|request| respond(Arc::clone(&application), request, &place, patience));
+        while !has_room(&mut connections) {
+            sleep(A_MOMENT).await;
+        }
+        let is_answering = Arc::new(AtomicBool::new(false));
+        let (application, answering) = (Arc::clone(&application), Arc::clone(&is_answering));
+        let task = tokio::spawn(async move {
+            let service = service_fn(|request| respond(Arc::clone(&application), request, &answering, patience));
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
                 .max_buf_size(MOST_HEAD_BYTES)
                 .max_headers(MOST_HEADERS)
                 .serve_connection(TokioIo::new(stream), service);
-            // A connection that made room for another ends without an answer.
-            let (mut connection, mut given_up) = (pin!(connection), pin!(place.given_up()));
-            poll_fn(|context| match given_up.as_mut().poll(context) {
-                Poll::Ready(()) => Poll::Ready(()),
-                Poll::Pending => connection.as_mut().poll(context).map(drop),
-            })
-            .await;
-            drop(permit);
+            // A client that breaks off needs no answer.
+            let _ = connection.await;
         });
+        connections.push_back(Connection { task: task.abort_handle(), is_answering });
     }
 }
 
-/// Room for a connection, made by one that is idle if there is none.
-async fn room(connections: &Arc<Semaphore>, idle: &Idle) -> Option<OwnedSemaphorePermit> {
-    loop {
-        if let Ok(permit) = Arc::clone(connections).try_acquire_owned() {
-            return Some(permit);
-        }
-        idle.give_up_oldest();
-        // A request that is being answered may end soon.
-        if let Ok(permit) = timeout(A_MOMENT, Arc::clone(connections).acquire_owned()).await {
-            return permit.ok();
-        }
+/// A connection that was accepted.
+struct Connection {
+    task: AbortHandle,
+    is_answering: Arc<AtomicBool>,
+}
+
+/// Returns whether another connection may begin. If there are too many, ends the oldest whose request is not being answered.
+fn has_room(connections: &mut VecDeque<Connection>) -> bool {
+    connections.retain(|connection| !connection.task.is_finished());
+    if connections.len() >= MOST_CONNECTIONS {
+        let is_idle = |connection: &Connection| !connection.is_answering.load(Ordering::Relaxed);
+        let oldest = connections.iter().position(is_idle).and_then(|oldest| connections.remove(oldest));
+        oldest.iter().for_each(|connection| connection.task.abort());
     }
+    connections.len() < MOST_CONNECTIONS
 }
 
 async fn respond(
     application: Arc<Application>,
     request: Request<Incoming>,
-    place: &Place<'_>,
+    is_answering: &AtomicBool,
     patience: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
-    let answered = handle(application, request, place, patience).await;
+    let answered = handle(application, request, is_answering, patience).await;
     let Answer { status, content_type, body } = answered.unwrap_or_else(Answer::from);
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
@@ -233,11 +231,9 @@ async fn respond(
 async fn handle(
     application: Arc<Application>,
     request: Request<Incoming>,
-    place: &Place<'_>,
+    is_answering: &AtomicBool,
     patience: Duration,
 ) -> Result<Answer, Refused> {
-    // The time for which the connection was idle before counts no longer.
-    place.renew();
     let (head, body) = request.into_parts();
     let rest = application.gate.admit(head.uri.path(), &head.headers)?.to_owned();
     if head.method == Method::GET {
@@ -252,11 +248,10 @@ async fn handle(
     }
     let body = timeout(patience, whole(body)).await.map_err(|_| Refused::Slow(patience))??;
     // More than there are threads for wait in line.
-    let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body));
-    place
-        .busy(answer)
-        .await
-        .unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
+    is_answering.store(true, Ordering::Relaxed);
+    let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
+    is_answering.store(false, Ordering::Relaxed);
+    answer.unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
 }
 
 /// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.

@@ -176,17 +176,6 @@ pub fn sync_names_beside(path: &Path) -> Result<(), DiskError> {
     sync_folder(folder_of(path))
 }
 
-/// Removes a folder and all that is in it, if there is one.
-///
-/// # Errors
-/// [`DiskError`] if it cannot be removed.
-pub fn remove_folder(path: &Path) -> Result<(), DiskError> {
-    match unless_missing(fs::remove_dir_all(path)).map_err(DiskError::at(path))? {
-        Some(()) => sync_folder(folder_of(path)),
-        None => Ok(()),
-    }
-}
-
 /// The folder that a file lies in.
 fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{add, advance_json, read_json};
+use super::files::{add, read_json, write_json};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_search::work::{Work, WorkError};
 use crumple_world::digest::{Sha256, sha256};
@@ -147,7 +147,7 @@ impl Corpus {
             } else {
                 corpus.seal(space)?;
             }
-            advance_json(work, name, &corpus)?;
+            write_json(work, name, &corpus)?;
         }
         Ok(corpus)
     }

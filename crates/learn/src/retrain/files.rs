@@ -26,14 +26,9 @@ pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
     Ok(serde_json::to_string_pretty(value).map_err(RetrainError::encoding)? + "\n")
 }
 
-/// Keeps a value that comes of finished steps.
+/// Writes a value as JSON.
 pub(super) fn write_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
     Ok(work.write(name, to_json(value)?)?)
-}
-
-/// Keeps a value that grows step by step, and what it was a step before.
-pub(super) fn advance_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
-    Ok(work.advance(name, to_json(value)?)?)
 }
 
 /// The value in a file; none if there is no such file.

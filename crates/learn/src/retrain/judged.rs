@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::corpus::Corpus;
-use super::files::{advance_json, read_json};
+use super::files::{read_json, write_json};
 use super::plan::{JUDGED_SEED, RetrainingPlan};
 use crumple_search::evidence::RateInterval;
 use crumple_search::work::Work;
@@ -101,7 +101,7 @@ impl Judged {
             } else {
                 corpus.seal(space)?;
             }
-            advance_json(work, name, &judged)?;
+            write_json(work, name, &judged)?;
         }
         Ok(judged)
     }

@@ -27,7 +27,6 @@
 //! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
 //! | `rounds/NN/` | the campaign, the candidate and the record of each round |
 //! | `work.json` | what the others are ([`crumple_search::work`]), and until it is complete the program at work, for no other build goes on with it |
-//! | `previous/` | only until it is complete: what only doing the work again could make again, as it was a step before |
 //!
 //! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
 

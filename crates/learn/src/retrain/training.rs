@@ -109,12 +109,6 @@ impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
         let before = self.before;
         let (lists, learner) = (before.name(CHECKPOINTS), before.name(LEARNER));
         let checkpoints = to_json(&self.checkpoints)?;
-        // The next round goes on from the end of this one, and from nothing before it: that is kept twice. It is made twice, too, for it
-        // may be half of the memory.
-        for _ in 0..if trainer.is_done() { 2 } else { 1 } {
-            let bytes = trainer.to_checkpoint()?;
-            before.work.changes().advance(&lists, checkpoints.as_str()).advance(&learner, bytes).commit()?;
-        }
-        Ok(())
+        Ok(before.work.changes().write(&lists, checkpoints).write(&learner, trainer.to_checkpoint()?).commit()?)
     }
 }

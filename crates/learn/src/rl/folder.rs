@@ -162,7 +162,7 @@ impl Observer<TrainingError> for Keeper<'_> {
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
         let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
         let mut changes = self.work.changes();
-        changes.advance(LOG, self.log.as_str()).advance(POLICY, policy).advance(CHECKPOINT, checkpoint);
+        changes.write(LOG, self.log.as_str()).write(POLICY, policy).write(CHECKPOINT, checkpoint);
         Ok(changes.commit()?)
     }
 }

@@ -7,6 +7,15 @@ use crumple_world::policy::Departure;
 /// Most hidden layers.
 const MOST_LAYERS: usize = 16;
 
+/// Most bytes of memory of a training with one seed: several seeds at once take that much each.
+const MOST_BYTES: u64 = 4 << 30;
+/// Copies of the weights of both networks: themselves, targets, moments, gradients, means, checkpoints, and the judged policy.
+const NETWORK_COPIES: u64 = 34;
+/// Copies of all layer outputs for a batch: activations, gradients and packed factors of both networks.
+const BATCH_COPIES: u64 = 8;
+/// Bytes of a held-out scenario with its run: 2200 to 2700 as measured.
+const DRAW_BYTES: u64 = 2600;
+
 /// Refuses a number that is not within its range.
 pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
     if (low..=high).contains(&found) {
@@ -104,6 +113,75 @@ impl TrainingConfig {
         within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
         within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
         blend::check(&self.spaces)?;
-        super::memory::check(self)
+        self.fits_in_memory()
+    }
+
+    /// Refuses a training that takes more than [`MOST_BYTES`], and names the field that takes most of them.
+    fn fits_in_memory(&self) -> Result<(), ConfigError> {
+        let parts = self.parts_bytes();
+        let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
+        let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
+        match largest.filter(|_| found > MOST_BYTES) {
+            None => Ok(()),
+            Some((field, _)) => {
+                let problem =
+                    format!("training takes about {} MiB of memory, at most {} MiB", found >> 20, MOST_BYTES >> 20);
+                Err(ConfigError::Field { field: (*field).to_owned(), problem })
+            }
+        }
+    }
+
+    /// Returns an upper bound of the bytes that each part of a training takes, with the field that decides it.
+    fn parts_bytes(&self) -> [(&'static str, u64); 4] {
+        let inputs = self.environment.observation.width() + self.learning.privileged() + 1;
+        let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
+        let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
+        let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.useful_draws;
+        let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
+        [
+            ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
+            ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
+            // The memory and its checkpoint.
+            (
+                "replay.capacity",
+                float_bytes(2 * (self.remembered().numbers() as u64 + 1) * self.replay.capacity as u64),
+            ),
+            ("evaluation.ranking_draws", draws * DRAW_BYTES),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rl::config::PRESETS;
+
+    #[test]
+    fn trainings_that_do_not_fit_in_memory_are_refused() {
+        for (name, _) in PRESETS {
+            let bytes = TrainingConfig::preset(name).unwrap().parts_bytes().map(|(_, bytes)| bytes);
+            assert!(bytes.iter().sum::<u64>() < MOST_BYTES / 16, "{name}: {bytes:?}");
+        }
+        let changed = |change: &dyn Fn(&mut TrainingConfig)| {
+            let mut config = TrainingConfig::preset("paper").unwrap();
+            change(&mut config);
+            config.check()
+        };
+        let refused = |field: &str, result: Result<(), ConfigError>| {
+            let error = result.unwrap_err().to_string();
+            let begins = format!("{field}: training takes about ");
+            assert!(error.starts_with(&begins) && error.ends_with(" at most 4096 MiB"), "{error}");
+        };
+        refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
+        refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
+        let judged = |config: &mut TrainingConfig| {
+            (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (900_000, 1_000_000);
+        };
+        refused("evaluation.ranking_draws", changed(&judged));
+        let wide = |config: &mut TrainingConfig| {
+            (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
+        };
+        refused("learning.batch", changed(&wide));
+        changed(&|config| config.network.hidden = vec![1024; 4]).unwrap();
     }
 }

@@ -18,7 +18,6 @@ mod evaluation;
 mod folder;
 mod learner;
 mod limits;
-mod memory;
 mod observation;
 mod privileged;
 mod replay;

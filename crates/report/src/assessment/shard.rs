@@ -4,6 +4,7 @@
 //! gathered it is kept in the folder `evidence`, as that of a report is.
 
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use super::store::{Kept, Store, StoreError};
 use super::work::Work as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_search::disk::DiskError;
-use crumple_search::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards, open_shard, read_shard};
+use crumple_search::shard::{MergeError, Mergeable, Merged, MissingShards, Shard, Sharded, TooManyShards, open_shard};
 use crumple_search::work::{Finished, WorkError};
 use crumple_world::digest::sha256;
 use crumple_world::scenario::file;
@@ -25,9 +26,6 @@ pub const SHARD_OF_AN_ASSESSMENT: &str = "shard of an assessment";
 const EVIDENCE: &str = "evidence.json";
 /// Where evidence is kept until all of a shard is there.
 const UNDER_WAY: &str = "evidence";
-/// The version of these files.
-const VERSION: u32 = 1;
-const WHAT: &str = "pieces of evidence";
 
 /// Why a shard of an assessment is not made.
 #[derive(Debug, thiserror::Error)]
@@ -53,13 +51,43 @@ impl From<StoreError> for EvidenceShardError {
     }
 }
 
-/// The file `shard.json`.
+/// Everything that decides an assessment that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ShardFile {
-    version: u32,
-    shard: Shard,
+struct ShardedAssessment {
     assessment: Whole,
+}
+
+impl Sharded for ShardedAssessment {
+    const KIND: &'static str = SHARD_OF_AN_ASSESSMENT;
+    const VERSION: u32 = 1;
+    const RESULTS: &'static str = EVIDENCE;
+    const PARTS: &'static str = "pieces of evidence";
+
+    fn parts(&self) -> u64 {
+        self.assessment.pieces.len() as u64
+    }
+
+    fn difference(&self, other: &Self) -> Option<String> {
+        if self == other {
+            return None;
+        }
+        Some(match self.assessment.program == other.assessment.program {
+            true => "the configuration, or something that it names,".to_owned(),
+            false => "the build".to_owned(),
+        })
+    }
+}
+
+impl Mergeable for ShardedAssessment {
+    type File = Vec<Kept>;
+    type Results = Vec<Kept>;
+
+    fn check(&self, kept: Vec<Kept>, _: Shard, _: &Range<u64>) -> Result<Vec<Kept>, String> {
+        match kept.iter().all(|one| one.is_sound(&self.assessment.program)) {
+            true => Ok(kept),
+            false => Err("not evidence of that build".to_owned()),
+        }
+    }
 }
 
 /// What evidence is of.
@@ -88,15 +116,14 @@ pub fn gather_shard(
         return Err(EvidenceShardError::Unknown(unknown.name.clone()));
     }
     let all = pieces(plan)?;
-    let range = shard.range(all.len() as u64, WHAT)?;
+    let range = shard.range(all.len() as u64, ShardedAssessment::PARTS)?;
     let own = all.get(range.start as usize..range.end as usize).unwrap_or_default();
     let assessment = Whole {
         program: program.to_owned(),
         plan_sha256: digest(plan)?,
         pieces: all.iter().map(super::pieces::Piece::name).collect(),
     };
-    let configuration = text(&ShardFile { version: VERSION, shard, assessment })?;
-    let work = open_shard(folder, SHARD_OF_AN_ASSESSMENT, &configuration, EVIDENCE, true)?;
+    let work = open_shard(&ShardedAssessment { assessment }, shard, folder, true)?;
     let under_way = folder.join(UNDER_WAY);
     if !work.is_complete() {
         let store = Store::open(&under_way, program, false)?;
@@ -120,11 +147,7 @@ pub fn gather_shard(
 
 /// Shards of one assessment.
 #[derive(Debug)]
-pub struct MergedEvidence {
-    whole: Whole,
-    /// Of pieces.
-    parts: Parts<Vec<Kept>>,
-}
+pub struct MergedEvidence(Merged<ShardedAssessment>);
 
 impl MergedEvidence {
     /// Begins with a shard.
@@ -132,51 +155,35 @@ impl MergedEvidence {
     /// # Errors
     /// [`MergeError`] if it cannot be read.
     pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        let (file, _) = read(found)?;
-        let mut merged = Self { whole: file.assessment, parts: Parts::of(folder) };
-        merged.take(folder, found)?;
-        Ok(merged)
+        Merged::of(folder, found).map(Self)
     }
 
-    /// Takes in another shard. After an error it is as it was.
+    /// Adds another shard. After an error nothing has changed.
     ///
     /// # Errors
-    /// [`MergeError`] if it cannot be read, or does not go with the others.
+    /// [`MergeError`] if it cannot be read, or is not a shard of the same assessment.
     pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
-        let (ShardFile { shard, assessment, .. }, kept) = read(found)?;
-        if assessment != self.whole {
-            let field = match assessment.program == self.whole.program {
-                true => "the configuration, or something that it names,",
-                false => "the build",
-            };
-            return Err(self.parts.foreign(folder, field.to_owned()));
-        }
-        let all = self.whole.pieces.len() as u64;
-        let range = shard.range(all, WHAT).map_err(|error| found.damaged("shard.json", error))?;
-        if !kept.iter().all(|one| one.is_sound(&assessment.program)) {
-            return Err(found.damaged(EVIDENCE, "not evidence of that build").into());
-        }
-        self.parts.place(folder, shard, range, kept)
+        self.0.take(folder, found)
     }
 
     /// Pieces that no shard has gathered.
     #[must_use]
     pub fn missing(&self) -> Vec<String> {
-        let missing = self.parts.missing(self.whole.pieces.len() as u64);
-        let of = |range: std::ops::Range<u64>| self.whole.pieces.get(range.start as usize..range.end as usize);
-        missing.into_iter().filter_map(of).flatten().cloned().collect()
+        let pieces = &self.0.work().assessment.pieces;
+        let of = |range: Range<u64>| pieces.get(range.start as usize..range.end as usize);
+        self.0.missing().into_iter().filter_map(of).flatten().cloned().collect()
     }
 
     /// Which shards are missing.
     #[must_use]
     pub fn missing_shards(&self) -> MissingShards {
-        self.parts.missing_shards()
+        self.0.missing_shards()
     }
 
     /// The build that the evidence is of.
     #[must_use]
     pub fn program(&self) -> &str {
-        &self.whole.program
+        &self.0.work().assessment.program
     }
 
     /// Puts the evidence into a folder of evidence, where an assessment finds it. How many pieces there are.
@@ -184,16 +191,10 @@ impl MergedEvidence {
     /// # Errors
     /// [`StoreError`] if it cannot be written, or is in use.
     pub fn write_in(&self, folder: &Path) -> Result<usize, StoreError> {
-        let store = Store::open(folder, &self.whole.program, false)?;
-        let all = self.parts.contents().flatten();
+        let store = Store::open(folder, &self.0.work().assessment.program, false)?;
+        let all = self.0.results().flatten();
         all.map(|kept| store.keep(kept)).sum()
     }
-}
-
-fn read(found: &Finished) -> Result<(ShardFile, Vec<Kept>), WorkError> {
-    let file: ShardFile = read_shard(found, VERSION)?;
-    let kept = serde_json::from_str(&found.read(EVIDENCE)?).map_err(|error| found.unreadable(EVIDENCE, &error))?;
-    Ok((file, kept))
 }
 
 /// Of all that decides the evidence.

@@ -191,7 +191,7 @@ impl<'a> Counting<'a> {
             let (runs, failed) = (self.tally.runs, self.tally.failed());
             self.plan.count_next(&self.blocks, &mut self.tally, &mut || progress(runs, failed))?;
             if written.elapsed() > BETWEEN {
-                work.advance(PROGRESS, json(&path, &self.tally)?)?;
+                work.write(PROGRESS, json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
         }

@@ -7,16 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use super::RatePlan;
 use super::exposed::own_resamples;
-use super::rate_folder::{Counting, PROGRESS, RateFolderError, json};
+use super::rate_folder::{Counting, PROGRESS, RateFolderError};
 use super::record::{CountRecord, Tally, length};
-use crate::shard::{self, SHARD, Shard};
-use crate::work::{Finished, Work, WorkError};
+use crate::shard::{Mergeable, Shard, Sharded, open_shard};
+use crate::work::Work;
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_COUNT: &str = "shard of a count";
-
-/// The version of that file.
-const VERSION: u32 = 1;
 
 /// A shard of a count that is on record in a folder.
 pub struct RateShard<'a> {
@@ -25,16 +22,60 @@ pub struct RateShard<'a> {
     own_resamples: Range<u64>,
 }
 
-/// The file `shard.json`.
+/// Everything that decides a count that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ShardFile {
-    version: u32,
-    shard: Shard,
-    count: CountRecord,
-    /// Where failures are stated per hour: resamples of the episodes, and new runs in each.
+pub struct ShardedCount {
+    pub(super) count: CountRecord,
+    /// Resamples of the episodes and new runs in each, if failures are stated per hour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    resampling: Option<(u32, u32)>,
+    pub(super) resampling: Option<(u32, u32)>,
+}
+
+impl Sharded for ShardedCount {
+    const KIND: &'static str = SHARD_OF_A_COUNT;
+    const VERSION: u32 = 1;
+    const RESULTS: &'static str = PROGRESS;
+    const PARTS: &'static str = "blocks of runs";
+    const IS_PRETTY: bool = true;
+
+    fn parts(&self) -> u64 {
+        self.count.blocks()
+    }
+
+    fn difference(&self, other: &Self) -> Option<String> {
+        let (own, foreign) = (self.count.registration(), other.count.registration());
+        let keys = own.configuration.keys().chain(foreign.configuration.keys());
+        let differs = |key: &&String| own.configuration.get(*key) != foreign.configuration.get(*key);
+        let fields = [
+            ("runs", own.runs != foreign.runs),
+            ("confidence", own.confidence != foreign.confidence),
+            ("block_runs", own.block_runs != foreign.block_runs),
+            ("resampling", self.resampling != other.resampling),
+        ];
+        let key = keys.into_iter().find(differs).map(|key| format!("configuration.{key}"));
+        key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
+    }
+
+    fn problem(&self) -> Option<String> {
+        self.count.problem().map(|problem| format!("count.{problem}"))
+    }
+}
+
+impl Mergeable for ShardedCount {
+    type File = Tally;
+    type Results = Tally;
+
+    fn check(&self, tally: Tally, shard: Shard, blocks: &Range<u64>) -> Result<Tally, String> {
+        let (resamples, runs_each) = self.resampling.unwrap_or_default();
+        let most = length(&own_resamples(resamples, blocks, self.parts()));
+        // There are fewer where no space could be fitted to some.
+        let may_be_resampled = tally.resampled.len() as u64 <= most
+            && tally.resampled.iter().all(|failures| *failures <= u64::from(runs_each));
+        match tally.blocks.len() as u64 == length(blocks) && self.count.is_sound(blocks, &tally) && may_be_resampled {
+            true => Ok(tally),
+            false => Err(format!("not what shard {shard} of that count comes to")),
+        }
+    }
 }
 
 impl RatePlan {
@@ -51,9 +92,8 @@ impl RatePlan {
         let blocks = self.blocks_of(shard)?;
         let resampling = self.resampling();
         let own_resamples = own_resamples(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.blocks());
-        let file = ShardFile { version: VERSION, shard, count: self.record().clone(), resampling };
-        let configuration = json(&folder.join(SHARD), &file)?;
-        let work = shard::open_shard(folder, SHARD_OF_A_COUNT, &configuration, PROGRESS, resume)?;
+        let sharded = ShardedCount { count: self.record().clone(), resampling };
+        let work = open_shard(&sharded, shard, folder, resume)?;
         let counting = Counting::in_folder(self, blocks, &work)?;
         Ok(RateShard { work, counting, own_resamples })
     }
@@ -97,37 +137,5 @@ impl RateShard<'_> {
     #[must_use]
     pub fn runs(&self) -> u64 {
         self.counting.runs() + self.counting.runs_in(&self.own_resamples)
-    }
-}
-
-/// A shard that was counted, as it is read from its folder.
-pub(super) struct CountedShard {
-    pub(super) shard: Shard,
-    pub(super) record: CountRecord,
-    pub(super) resampling: Option<(u32, u32)>,
-    /// Its blocks; as many as the tally holds.
-    pub(super) blocks: Range<u64>,
-    pub(super) tally: Tally,
-}
-
-impl CountedShard {
-    /// Reads it, and checks whatever can be checked without the controllers.
-    pub(super) fn read(found: &Finished) -> Result<Self, WorkError> {
-        let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-        let ShardFile { shard, count: record, resampling, .. } = shard::read_shard(found, VERSION)?;
-        if let Some(problem) = record.problem() {
-            return Err(found.damaged(SHARD, format!("count.{problem}")));
-        }
-        let blocks = shard.range(record.blocks(), "blocks of runs").map_err(|error| found.damaged(SHARD, error))?;
-        let tally: Tally = serde_json::from_str(&found.read(PROGRESS)?).map_err(unreadable(PROGRESS))?;
-        let (resamples, runs_each) = resampling.unwrap_or_default();
-        let most = length(&own_resamples(resamples, &blocks, record.blocks()));
-        // There are fewer where no space could be fitted to some.
-        let may_be_resampled = tally.resampled.len() as u64 <= most
-            && tally.resampled.iter().all(|failures| *failures <= u64::from(runs_each));
-        if tally.blocks.len() as u64 != length(&blocks) || !record.is_sound(&blocks, &tally) || !may_be_resampled {
-            return Err(found.damaged(PROGRESS, format!("not what shard {shard} of that count comes to")));
-        }
-        Ok(Self { shard, record, resampling, blocks, tally })
     }
 }

@@ -3,6 +3,7 @@
 //! A shard is a pure function of what decides the whole work, of I and of N: whoever makes it, wherever and however often, makes the
 //! same. Its folder says all of that, so that parts can be put together again by somebody who knows nothing else.
 
+mod merged;
 mod parts;
 
 use std::fmt;
@@ -14,55 +15,94 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::difference;
+use crate::disk::DiskError;
 use crate::work::{Asked, Finished, Work, WorkError};
 
+pub use merged::{Mergeable, Merged};
 pub use parts::{MergeError, MissingShards, Parts};
 
 /// The file that says all that decides a shard.
 pub(crate) const SHARD: &str = "shard.json";
 
-/// The folder of a shard in use, with what decides it: a kind of work whose results stand in `results` beside it.
+/// Everything that decides work that can be divided. `shard.json` holds it beside the version and the number of the shard.
+pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
+    /// Kind of a shard's folder in its `work.json`, as a noun for readers.
+    const KIND: &'static str;
+    /// Version of `shard.json`.
+    const VERSION: u32;
+    /// Name of the file with the results of a shard.
+    const RESULTS: &'static str;
+    /// Name of the parts, in the plural.
+    const PARTS: &'static str;
+    /// Whether `shard.json` has a line for each field.
+    const IS_PRETTY: bool = false;
+
+    /// Returns the number of parts of the whole work.
+    fn parts(&self) -> u64;
+
+    /// Returns the field in which other work differs, if it differs.
+    fn difference(&self, other: &Self) -> Option<String>;
+
+    /// Returns the first field that is invalid, with the reason.
+    fn problem(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Version and number of a shard in `shard.json`. The rest is read only if the version is known.
+#[derive(Deserialize)]
+struct Header {
+    version: u32,
+    shard: Shard,
+}
+
+/// The file `shard.json`.
+#[derive(Serialize)]
+struct ShardFile<'a, W> {
+    version: u32,
+    shard: Shard,
+    #[serde(flatten)]
+    work: &'a W,
+}
+
+/// Opens the folder of a shard and writes `shard.json`.
 ///
 /// # Errors
-/// [`WorkError`] if the folder cannot be used, or holds something else: it says in what that differs.
-pub fn open_shard(
-    folder: &Path,
-    kind: &'static str,
-    configuration: &str,
-    results: &'static str,
-    resume: bool,
-) -> Result<Work, WorkError> {
-    let outputs = &[SHARD, results];
-    let asked = Asked { kind, configuration, configuration_file: SHARD, resume, outputs };
-    let work = Work::open(folder, asked).map_err(|error| match error {
+/// [`WorkError`] if the folder cannot be used, or holds other work: the error names the field that differs.
+pub fn open_shard<W: Sharded>(work: &W, shard: Shard, folder: &Path, resume: bool) -> Result<Work, WorkError> {
+    let file = ShardFile { version: W::VERSION, shard, work };
+    let text = if W::IS_PRETTY { serde_json::to_string_pretty(&file) } else { serde_json::to_string(&file) };
+    let text = text.map_err(|error| DiskError::at(&folder.join(SHARD))(error.into()))? + "\n";
+    let outputs = &[SHARD, W::RESULTS];
+    let asked = Asked { kind: W::KIND, configuration: &text, configuration_file: SHARD, resume, outputs };
+    let opened = Work::open(folder, asked).map_err(|error| match error {
         WorkError::OtherConfiguration { path, kind, found } => {
-            WorkError::Differing(difference::in_json(&path, &kind, &found, configuration))
+            WorkError::Differing(difference::in_json(&path, &kind, &found, &text))
         }
         other => other,
     })?;
-    work.write(SHARD, configuration)?;
-    Ok(work)
+    opened.write(SHARD, text)?;
+    Ok(opened)
 }
 
-/// What decides a shard that was made, as its folder says it in files of `version`.
+/// Reads `shard.json` of a finished shard: its number, the whole work, and its parts.
 ///
 /// # Errors
-/// [`WorkError`] if it is not as it was written, or of another version.
-pub fn read_shard<T: DeserializeOwned>(found: &Finished, version: u32) -> Result<T, WorkError> {
-    /// The rest is read only where it is known what is in it.
-    #[derive(Deserialize)]
-    struct Header {
-        version: u32,
-    }
-
+/// [`WorkError`] if the file is not as it was written, of another version, or invalid.
+pub fn read_shard<W: Sharded>(found: &Finished) -> Result<(Shard, W, Range<u64>), WorkError> {
     let text = found.read_configuration(SHARD)?;
     let unreadable = |error| found.unreadable(SHARD, &error);
-    let header: Header = serde_json::from_str(&text).map_err(unreadable)?;
-    if header.version != version {
-        let problem = format!("version: {}, and this release reads {version}", header.version);
+    let Header { version, shard } = serde_json::from_str(&text).map_err(unreadable)?;
+    if version != W::VERSION {
+        let problem = format!("version: {version}, and this release reads {}", W::VERSION);
         return Err(found.damaged(SHARD, problem));
     }
-    serde_json::from_str(&text).map_err(unreadable)
+    let work: W = serde_json::from_str(&text).map_err(unreadable)?;
+    if let Some(problem) = work.problem() {
+        return Err(found.damaged(SHARD, problem));
+    }
+    let own = shard.range(work.parts(), W::PARTS).map_err(|error| found.damaged(SHARD, error))?;
+    Ok((shard, work, own))
 }
 
 /// The most shards that work is divided into.

@@ -15,7 +15,7 @@ use crumple_world::sim::Unanswered;
 /// [`Tested`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct TestedRow {
+pub struct TestedRow {
     pub(super) controller: String,
     verdict: TestVerdict,
     points: usize,

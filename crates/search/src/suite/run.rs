@@ -14,7 +14,7 @@ use super::Suite;
 use super::margin::margins;
 use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
-use super::spec::{ClauseSpec, Lead, TestSpec};
+use super::spec::{ClauseSpec, Lead, SuiteSpec, TestSpec};
 use super::within::{Within, Worst, worst};
 use crate::falsify::counterexample::Classed;
 
@@ -83,16 +83,16 @@ pub fn run(
     estimator: EstimatorKind,
 ) -> Result<SuiteResult, SuiteRunError> {
     let mut tested = Vec::new();
-    each(suite, controllers, estimator, 0..pieces(suite, controllers.len()), &mut |one| {
+    each(suite, controllers, estimator, 0..pieces(suite.spec(), controllers.len()), &mut |one| {
         tested.push(one);
         Ok::<(), SuiteRunError>(())
     })?;
-    Ok(assembled(suite, estimator, controllers.len(), tested))
+    Ok(assembled(suite.spec(), estimator, controllers.len(), tested))
 }
 
 /// How many pieces there are that can be run by themselves: a test and a controller each, in the order of the suite.
-pub(super) fn pieces(suite: &Suite, controllers: usize) -> u64 {
-    suite.spec().clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
+pub(super) fn pieces(suite: &SuiteSpec, controllers: usize) -> u64 {
+    suite.clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
 }
 
 /// Runs some of the pieces, in order, and says of each what was found; of a controller that was refused on the way nothing is said.
@@ -125,12 +125,12 @@ pub(super) fn each<E: From<SuiteRunError>>(
 
 /// The result of a suite from that of all its pieces, which come in order.
 pub(super) fn assembled(
-    suite: &Suite,
+    spec: &SuiteSpec,
     estimator: EstimatorKind,
     controllers: usize,
     tested: impl IntoIterator<Item = Tested>,
 ) -> SuiteResult {
-    let (spec, mut tested) = (suite.spec(), tested.into_iter());
+    let mut tested = tested.into_iter();
     let mut test = |test: &TestSpec| TestResult {
         name: test.name.clone(),
         is_as_stated: test.is_as_stated(),

@@ -3,12 +3,11 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::state::{FileState, Prefix};
-use super::{Work, WorkError, generation};
+use super::{Work, WorkError};
 use crate::disk::{self, DiskError};
 
 /// Changes that are not yet made.
@@ -19,13 +18,7 @@ pub struct Changes<'a> {
 }
 
 enum Change {
-    /// Shared where it is written twice: what is kept may be most of the memory.
-    Write(Arc<Vec<u8>>),
-    /// It becomes a second name of what another file is before the changes.
-    Keep {
-        of: String,
-        state: FileState,
-    },
+    Write(Vec<u8>),
     Remove,
     /// It may be there from now on ([`Work::grew`]).
     Grow,
@@ -38,28 +31,12 @@ impl<'a> Changes<'a> {
 
     /// A file, whole or not at all. What is there with the same contents is left alone.
     pub fn write(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
-        self.changes.push((name.to_owned(), Change::Write(Arc::new(contents.into()))));
-        self
-    }
-
-    /// A file that nothing but the work itself could make again: what it replaces is kept until the work is finished, and if that is
-    /// nothing or the same, it is kept twice.
-    pub fn advance(&mut self, name: &str, contents: impl Into<Vec<u8>>) -> &mut Self {
-        let (before, contents) = (generation::before(name), Arc::new(contents.into()));
-        let state = self.work.locked().state(name).cloned();
-        let kept = match state.filter(|state| *state != FileState::of(&contents)) {
-            Some(state) => Change::Keep { of: name.to_owned(), state },
-            None => Change::Write(Arc::clone(&contents)),
-        };
-        self.changes.extend([(before, kept), (name.to_owned(), Change::Write(contents))]);
+        self.changes.push((name.to_owned(), Change::Write(contents.into())));
         self
     }
 
     /// A file goes, if it is there.
     pub fn remove(&mut self, name: &str) -> &mut Self {
-        let before = generation::before(name);
-        let is_kept = self.work.locked().knows(&before);
-        self.changes.extend(is_kept.then_some((before, Change::Remove)));
         self.changes.push((name.to_owned(), Change::Remove));
         self
     }
@@ -86,9 +63,8 @@ impl<'a> Changes<'a> {
         let (mut next, mut staged) = (manifest.clone(), Vec::new());
         let mut unfinished = manifest.unfinished_names();
         for (name, change) in changes {
-            let state = match &change {
-                Change::Write(contents) => FileState::of(contents),
-                Change::Keep { state, .. } => state.clone(),
+            let (state, contents) = match change {
+                Change::Write(contents) => (FileState::of(&contents), contents),
                 Change::Remove => {
                     next.remove(&name);
                     continue;
@@ -105,7 +81,7 @@ impl<'a> Changes<'a> {
                 && let Some(unfinished) = unfinished.next()
             {
                 let place = work.path(&unfinished);
-                staged.push(stage(place, &change, work).map_err(|source| DiskError::at(&work.path(&name))(source))?);
+                staged.push(stage(place, &contents).map_err(|source| DiskError::at(&work.path(&name))(source))?);
                 next.place(&name, unfinished, state);
             }
         }
@@ -113,7 +89,7 @@ impl<'a> Changes<'a> {
             return Ok(());
         }
         // All at once, for each waits for the disk. The names before the announcement that speaks of them.
-        staged.into_par_iter().flatten().try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
+        staged.into_par_iter().try_for_each(|(file, path)| file.sync_all().map_err(DiskError::at(&path)))?;
         disk::sync_folder(&work.folder)?;
         next.program = Some(work.program.to_owned());
         next.write(&work.folder)?;
@@ -122,24 +98,13 @@ impl<'a> Changes<'a> {
     }
 }
 
-/// Brings what a file is to be to a place of its own; and the file, if it has not yet reached the disk.
-fn stage(place: PathBuf, change: &Change, work: &Work) -> io::Result<Option<(File, PathBuf)>> {
+/// Writes the contents of a file beside its place. The file has not yet reached the disk.
+fn stage(place: PathBuf, contents: &[u8]) -> io::Result<(File, PathBuf)> {
     match fs::remove_file(&place) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
     }
-    if let Change::Keep { of, .. } = change {
-        let of = work.path(of);
-        // Not every file system knows links.
-        if fs::hard_link(&of, &place).is_ok() {
-            return Ok(None);
-        }
-        fs::copy(&of, &place)?;
-        return Ok(Some((File::open(&place)?, place)));
-    }
     let mut file = File::create_new(&place)?;
-    if let Change::Write(contents) = change {
-        file.write_all(contents)?;
-    }
-    Ok(Some((file, place)))
+    file.write_all(contents)?;
+    Ok((file, place))
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::lock::Lock;
 use super::manifest::Manifest;
-use super::{MANIFEST, UNKNOWN, WorkError, generation};
+use super::{MANIFEST, UNKNOWN, WorkError};
 use crate::program;
 
 /// What is found in a folder of work that is only looked at.
@@ -21,8 +21,6 @@ pub struct Examined {
     pub files: Vec<(String, Result<(), String>)>,
     /// What lies where nothing but the work may be.
     pub strangers: Vec<String>,
-    /// Whether something is damaged and [`super::restore`] has a way back.
-    pub can_be_restored: bool,
     /// [`super::Work::identity`] of what is half done.
     pub identity: Option<String>,
     /// What lies in the folder beside the work.
@@ -59,8 +57,7 @@ impl Examined {
 /// [`WorkError`] if there is no manifest, or one that is damaged itself, or if the folder is in use.
 pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
     let path = folder.join(MANIFEST);
-    let found = Manifest::read(&path).and_then(|found| found.ok_or_else(|| WorkError::missing(&path)));
-    let manifest = found.map_err(|error| generation::hinted(folder, error))?;
+    let manifest = Manifest::read(&path)?.ok_or_else(|| WorkError::missing(&path))?;
     // What cannot be written cannot be at work.
     let is_free = match Lock::of(folder) {
         Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {
@@ -71,13 +68,6 @@ pub fn examine(folder: &Path) -> Result<Examined, WorkError> {
     if !is_free {
         return Err(WorkError::InUse { folder: folder.to_owned(), kind: manifest.kind });
     }
-    let found = examined(folder, &manifest)?;
-    let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
-    Ok(Examined { can_be_restored: is_damaged && generation::can_be_restored(folder), ..found })
-}
-
-/// What is found of a manifest's files.
-pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, WorkError> {
     let state = |name: String| -> Result<_, WorkError> {
         match manifest.look(folder, &name) {
             Ok(()) => Ok((name, Ok(()))),
@@ -104,5 +94,5 @@ pub(super) fn examined(folder: &Path, manifest: &Manifest) -> Result<Examined, W
     let identity = manifest.program.as_deref().map(|program| manifest.identity(program));
     let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
     let beside = manifest.beside(folder)?;
-    Ok(Examined { kind, complete, is_of_this_build, files, strangers, can_be_restored: false, identity, beside })
+    Ok(Examined { kind, complete, is_of_this_build, files, strangers, identity, beside })
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::lock::LOCK;
 use super::manifest::{MOST_BYTES, Manifest, entries_of};
-use super::{MANIFEST, UNKNOWN, WorkError, generation};
+use super::{MANIFEST, PREVIOUS, UNKNOWN, WorkError};
 use crate::disk::{self, DiskError};
 use crumple_world::digest::sha256;
 
@@ -37,9 +37,8 @@ pub fn find(folder: &Path) -> Result<Found, WorkError> {
     }
     let path = folder.join(MANIFEST);
     let Some(manifest) = Manifest::read(&path)? else {
-        let is_own = |path: &PathBuf| {
-            disk::is_unfinished(path) || [LOCK, generation::PREVIOUS].iter().any(|own| path.ends_with(own))
-        };
+        let is_own =
+            |path: &PathBuf| disk::is_unfinished(path) || [LOCK, PREVIOUS].iter().any(|own| path.ends_with(own));
         return match entries_of(folder)?.iter().all(is_own) {
             true => Ok(Found::Nothing),
             false => Err(WorkError::missing(&path)),

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::lock::LOCK;
 use super::pending::{self, Pending, is_within};
 use super::state::{FileState, MISSING, Prefix, plain, regular};
-use super::{MANIFEST, UNKNOWN, WorkError, generation};
-use crate::disk::{self, DiskError, Files};
+use super::{MANIFEST, PREVIOUS, UNKNOWN, WorkError};
+use crate::disk::{self, DiskError};
 use crumple_world::digest::{Sha256, sha256};
 
 /// The version of the file.
@@ -98,19 +98,11 @@ impl Manifest {
             && self.pending.iter().all(Pending::is_within)
     }
 
-    /// Writes it and its second copy; either may be the older one if the process ends in between, and is right all the same, for
-    /// nothing that it says is done before.
+    /// Writes it, whole or not at all.
     pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
         let path = folder.join(MANIFEST);
         let text = self.text().map_err(|error| DiskError::at(&path)(error.into()))?;
-        let mut files = Files::default();
-        files.stage(&path, &text)?;
-        if self.program.is_some() {
-            let second = generation::manifest_in(folder);
-            second.parent().map_or(Ok(()), disk::make_folder)?;
-            files.stage(&second, &text)?;
-        }
-        files.commit()
+        disk::write(&path, text)
     }
 
     /// The file, with its digest in it.
@@ -195,7 +187,7 @@ impl Manifest {
             let is_below = |known: &str| known.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with('/'));
             return self.program.is_some() || self.files.keys().any(|known| is_below(known));
         }
-        self.knows(&name) || path == generation::manifest_in(root) || disk::is_unfinished(path)
+        self.knows(&name) || path == root.join(PREVIOUS).join(MANIFEST) || disk::is_unfinished(path)
     }
 
     /// What lies in the first folder and is none of the work's.
@@ -203,7 +195,7 @@ impl Manifest {
         let known = self.folders();
         let outputs = self.outputs.iter().map(String::as_str);
         let tops: BTreeSet<&str> = known.into_iter().chain(outputs).filter_map(|name| name.split('/').next()).collect();
-        let own = [MANIFEST, LOCK, generation::PREVIOUS];
+        let own = [MANIFEST, LOCK, PREVIOUS];
         let is_own = |name: &str| self.knows(name) || tops.contains(name) || own.contains(&name);
         let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -221,11 +213,6 @@ impl Manifest {
     /// Takes a file to be as it is.
     pub(super) fn include(&mut self, name: &str, state: FileState) {
         self.files.insert(name.to_owned(), state);
-    }
-
-    /// Knows no more of what was kept.
-    pub(super) fn forget_before(&mut self) {
-        self.files.retain(|name, _| !generation::is_of_it(name));
     }
 
     /// The folders in which there is work of its own.

@@ -5,9 +5,8 @@
 //! moved there; the manifest says beforehand what will be moved, and whoever opens the folder next makes what is left of it. So
 //! whatever ends the process leaves a folder that is either as before a change or as after it, never a mixture. One process works in a folder at a time.
 //!
-//! What only doing the work again could make again, such as the checkpoint of a training, is kept twice while the work lasts: as it
-//! is, and in the folder `previous` as it was before ([`Changes::advance`]). `work.json` has its second copy there, too. If one of
-//! them is damaged, [`restore`] goes back to the other. Work may lie in a folder of other work ([`Work::include`]).
+//! Work may lie in a folder of other work ([`Work::include`]). Half-done work whose files are damaged begins anew in another folder: the
+//! same seed ends with the same results.
 //!
 //! This is integrity, not secrecy: it finds what was cut, edited, moved or left over, on purpose or by accident, but not the work
 //! of somebody who writes files and manifest anew. Who must not be able to do that must not be able to write there.
@@ -15,7 +14,6 @@
 mod changes;
 mod examine;
 mod finished;
-mod generation;
 mod lock;
 mod manifest;
 mod pending;
@@ -24,7 +22,6 @@ mod state;
 pub use changes::Changes;
 pub use examine::{Examined, examine};
 pub use finished::{Finished, Found, find};
-pub use generation::{Restored, restore};
 pub use lock::{Lock, exclusively};
 pub use state::Prefix;
 
@@ -40,11 +37,14 @@ use state::FileState;
 /// The file that says what the others are.
 pub const MANIFEST: &str = "work.json";
 
-/// Whether a folder is one of work: whether it holds `work.json`, or its second copy.
+/// Returns whether a folder is one of work: whether it holds `work.json`.
 #[must_use]
 pub fn is_there(folder: &Path) -> bool {
-    folder.join(MANIFEST).exists() || generation::manifest_in(folder).exists()
+    folder.join(MANIFEST).exists()
 }
+
+/// Folder in which earlier versions kept older copies of files while the work lasted.
+const PREVIOUS: &str = "previous";
 
 /// The manifest of files that are written all at once, by whoever made them, as those of a report are: `work.json` beside them, and
 /// [`examine`] knows what was cut, edited or moved since.
@@ -193,10 +193,7 @@ impl Work {
         let lock = Lock::of(folder)?.ok_or_else(|| WorkError::InUse { folder: folder.to_owned(), kind: kind() })?;
         let (path, configuration_sha256) = (folder.join(MANIFEST), sha256(asked.configuration));
         let program = program::identity()?;
-        let manifest = match Manifest::read(&path).map_err(|error| generation::hinted(folder, error))? {
-            None if generation::manifest_in(folder).exists() => {
-                return Err(generation::hinted(folder, WorkError::missing(&path)));
-            }
+        let manifest = match Manifest::read(&path)? {
             // It is written with the first change: what cannot be begun leaves nothing behind.
             None => Manifest::new(asked.kind, program, &configuration_sha256, asked.outputs),
             Some(found) if found.kind != asked.kind => {
@@ -224,11 +221,7 @@ impl Work {
             Some(found) => found,
         };
         let work = Self { folder: folder.to_owned(), program, manifest: Mutex::new(manifest), _lock: lock };
-        work.settle().map_err(|error| generation::hinted(folder, error))?;
-        if work.is_complete() {
-            // It may have ended while that was being removed.
-            generation::forget(folder)?;
-        }
+        work.settle()?;
         Ok(work)
     }
 
@@ -284,14 +277,6 @@ impl Work {
         self.changes().write(name, contents).commit()
     }
 
-    /// Writes a file and keeps what it was before ([`Changes::advance`]).
-    ///
-    /// # Errors
-    /// As for [`Self::write`].
-    pub fn advance(&self, name: &str, contents: impl Into<Vec<u8>>) -> Result<(), WorkError> {
-        self.changes().advance(name, contents).commit()
-    }
-
     /// Takes the work that was finished in a folder of this one, such as `rounds/01/search`, to be part of it: from now on its
     /// files are checked with those of this one.
     ///
@@ -323,10 +308,8 @@ impl Work {
     /// [`WorkError::Disk`] if the manifest cannot be written.
     pub fn finish(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
-        manifest.forget_before();
         manifest.program = None;
-        manifest.write(&self.folder)?;
-        Ok(generation::forget(&self.folder)?)
+        Ok(manifest.write(&self.folder)?)
     }
 
     /// Where nothing is known of, nothing may lie: neither the file itself nor, in a folder that is new to the work, another.
@@ -341,13 +324,10 @@ impl Work {
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
         match folder.filter(|folder| !manifest.folders().contains(folder)) {
             None => Ok(()),
-            Some(folder) => {
-                let is_stranger = |path: &&PathBuf| !path.is_dir() && **path != generation::manifest_in(&self.folder);
-                match entries_of(&self.path(folder))?.iter().find(is_stranger) {
-                    Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
-                    None => Ok(()),
-                }
-            }
+            Some(folder) => match entries_of(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
+                Some(left_over) => Err(WorkError::damaged(left_over, UNKNOWN)),
+                None => Ok(()),
+            },
         }
     }
 
@@ -355,8 +335,7 @@ impl Work {
     fn settle(&self) -> Result<(), WorkError> {
         let mut manifest = self.locked();
         manifest.complete(&self.folder)?;
-        // The second manifest is written before anything is known to be in its folder.
-        for folder in ["", generation::PREVIOUS].into_iter().chain(manifest.folders()) {
+        for folder in [""].into_iter().chain(manifest.folders()) {
             if !manifest.includes(folder) {
                 disk::remove_all_unfinished(&self.path(folder))?;
             }

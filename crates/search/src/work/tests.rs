@@ -288,49 +288,22 @@ fn half_done_work_of_another_build_is_refused() {
     assert!(!examine(folder.path()).unwrap().is_of_this_build);
 }
 
-/// Whatever single file is damaged, there is a way back to one generation, whole and fitting together; unless both are damaged.
+/// Earlier versions kept older copies in `previous/` while the work lasted. Those folders are still examined and resumed.
 #[test]
-fn what_is_damaged_goes_back_to_what_was_before() {
-    let begun = |generations: u64| {
-        let folder = tempfile::tempdir().unwrap();
-        let work = Work::open(folder.path(), ASKED).unwrap();
-        work.write("plan.json", "made again by nobody").unwrap();
-        for generation in 1..=generations {
-            let (log, state) = (format!("log {generation}"), format!("state {generation}"));
-            work.changes().advance("log", log).advance("deep/state", state).commit().unwrap();
-        }
-        folder
-    };
-    for generations in [1, 2, 5] {
-        for name in [MANIFEST, "log", "deep/state", "previous/log"] {
-            let folder = begun(generations);
-            assert_eq!(restore(folder.path()).unwrap(), None, "nothing is damaged");
-            fs::write(folder.path().join(name), "damaged").unwrap();
-            let said = Work::open(folder.path(), ASKED).err().unwrap().to_string();
-            assert!(said.contains(name) && said.contains("`crumple fsck --restore"), "{said}");
-            let restored = restore(folder.path()).unwrap().unwrap();
-            assert_eq!(restored.damaged, [name]);
-            let work = Work::open(folder.path(), ASKED).unwrap();
-            let read = |name| String::from_utf8(work.read_present(name).unwrap()).unwrap();
-            let back = if [MANIFEST, "previous/log"].contains(&name) {
-                generations
-            } else {
-                generations.saturating_sub(1).max(1)
-            };
-            assert_eq!((read("log"), read("deep/state")), (format!("log {back}"), format!("state {back}")));
-            work.changes().advance("log", "next").advance("deep/state", "next").commit().unwrap();
-            work.finish().unwrap();
-            assert!(!folder.path().join("previous").exists(), "what is finished is kept once");
-        }
-    }
-    let folder = begun(2);
-    for name in ["log", "previous/log"] {
-        fs::write(folder.path().join(name), "damaged").unwrap();
-    }
-    assert!(restore(folder.path()).unwrap_err().to_string().contains("previous/log: not as it was written"));
-    let folder = begun(2);
-    fs::write(folder.path().join("plan.json"), "damaged").unwrap();
-    assert!(restore(folder.path()).unwrap_err().to_string().contains("plan.json: not as it was written"));
+fn a_folder_with_older_copies_is_examined_and_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    work.changes().write("log", "2").write("previous/log", "1").commit().unwrap();
+    drop(work);
+    fs::copy(folder.path().join(MANIFEST), folder.path().join("previous").join(MANIFEST)).unwrap();
+    let seen = examine(folder.path()).unwrap();
+    assert!(seen.is_whole() && seen.beside.is_empty(), "{seen:?}");
+    let work = Work::open(folder.path(), ASKED).unwrap();
+    work.write("log", "3").unwrap();
+    work.finish().unwrap();
+    drop(work);
+    assert!(examine(folder.path()).unwrap().is_whole());
+    assert!(matches!(find(folder.path()).unwrap(), Found::Finished(_)));
 }
 
 /// Of work that lies in other work, every file and the manifest belong to both.
@@ -359,13 +332,11 @@ fn damage_in_what_is_included_is_damage() {
 #[test]
 fn what_was_not_finished_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
-    fs::create_dir(folder.path().join("previous")).unwrap();
-    for name in [".crumple-unfinished-a", "previous/.crumple-unfinished-b"] {
-        fs::write(folder.path().join(name), "{").unwrap();
-    }
+    let left = folder.path().join(".crumple-unfinished-a");
+    fs::write(&left, "{").unwrap();
     let work = Work::open(folder.path(), ASKED).unwrap();
-    work.advance("state", "1").unwrap();
-    assert!(!folder.path().join("previous/.crumple-unfinished-b").exists());
+    work.write("state", "1").unwrap();
+    assert!(!left.exists());
 }
 
 /// What is longer than it was, a link, a pipe or a folder in the place of a file, and files beside those of a folder: none is read, and an

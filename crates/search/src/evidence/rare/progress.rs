@@ -163,7 +163,7 @@ impl Again<'_> {
 
 impl Found {
     fn keep(&self, work: &Work) -> Result<(), RareError> {
-        Ok(work.advance(PROGRESS, serde_json::to_string(self)? + "\n")?)
+        Ok(work.write(PROGRESS, serde_json::to_string(self)? + "\n")?)
     }
 
     /// Whether an estimate of which so many repetitions are made could have come to it.

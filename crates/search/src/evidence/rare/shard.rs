@@ -2,6 +2,7 @@
 //!
 //! A folder holds `shard.json`, all that decides it, and `repetitions.json`; until that is there, `progress.json`.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -10,27 +11,65 @@ use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
-use crate::shard::{self, MergeError, MissingShards, Parts, SHARD, Shard};
-use crate::work::{Finished, WorkError};
+use crate::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
+use crate::work::WorkError;
 use crumple_world::digest::sha256;
 use crumple_world::scenario::space::{Space, file};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
 
-const REPETITIONS: &str = "repetitions.json";
-/// The version of these files.
-const VERSION: u32 = 3;
-
+/// Everything that decides an estimate that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ShardFile {
-    version: u32,
-    shard: Shard,
+pub struct ShardedEstimate {
     estimate: RareRecord,
-    /// Where failures are stated per hour.
+    /// Present if failures are stated per hour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     exposed: Option<Exposed>,
+}
+
+impl Sharded for ShardedEstimate {
+    const KIND: &'static str = SHARD_OF_AN_ESTIMATE;
+    const VERSION: u32 = 3;
+    const RESULTS: &'static str = "repetitions.json";
+    const PARTS: &'static str = "repetitions";
+    const IS_PRETTY: bool = true;
+
+    fn parts(&self) -> u64 {
+        self.estimate.effort.repetitions as u64
+    }
+
+    fn difference(&self, other: &Self) -> Option<String> {
+        let fields = [
+            ("what is estimated, how or by which release", other.estimate != self.estimate),
+            ("the number of resamples", other.exposed != self.exposed),
+        ];
+        fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned())
+    }
+}
+
+impl Mergeable for ShardedEstimate {
+    type File = Repeated;
+    type Results = Repeated;
+
+    fn check(&self, repeated: Repeated, shard: Shard, own: &Range<u64>) -> Result<Repeated, String> {
+        let made = if repeated.pilot.reaches_failure() { own.end - own.start } else { 0 };
+        let resamples = self.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
+        let resampled = own_resamples(resamples, own, self.parts());
+        let is_of_space = |exposed: &Exposed| sha256(&exposed.space_text) == self.estimate.space_sha256;
+        let is_sound = repeated.pilot.is_of(self.estimate.method, self.estimate.effort, self.estimate.seed)
+            && repeated.pilot.may_have(&repeated.repetitions)
+            && repeated.repetitions.count() == made
+            && self.exposed.iter().all(is_of_space)
+            // There are fewer where no space could be fitted to some.
+            && repeated.resampled.len() as u64 <= resampled.end - resampled.start;
+        if is_sound { Ok(repeated) } else { Err(format!("not what shard {shard} of that estimate comes to")) }
+    }
+
+    /// The same seed places the same levels on every machine.
+    fn contradiction(one: &Repeated, other: &Repeated) -> Option<String> {
+        (one.pilot != other.pilot).then(|| "the pilot, as of another build,".to_owned())
+    }
 }
 
 /// What decides what an estimate comes to per hour.
@@ -43,9 +82,10 @@ struct Exposed {
     space_text: String,
 }
 
+/// Results of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Repeated {
+pub struct Repeated {
     pilot: Pilot,
     repetitions: Repetitions,
     /// Estimates in its share of the resamples.
@@ -77,21 +117,18 @@ impl RarePlan {
         if estimate.controller_sha256.is_none() {
             return Err(RareError::Unknown(self.controller.name.clone()));
         }
-        let own = shard.range(self.effort.repetitions as u64, WHAT)?;
+        let own = shard.range(self.effort.repetitions as u64, ShardedEstimate::PARTS)?;
         let exposed = match self.space.spec().exposure {
             Some(_) => Some(Exposed { resamples, space_text: file::to_toml(&self.space)? }),
             None => None,
         };
         let resamples = exposed.as_ref().map_or(0, |exposed| exposed.resamples);
-        let file = ShardFile { version: VERSION, shard, estimate, exposed };
-        let configuration = serde_json::to_string_pretty(&file)? + "\n";
-        let work = shard::open_shard(folder, SHARD_OF_AN_ESTIMATE, &configuration, REPETITIONS, resume)?;
-        let progress = Progress::in_folder(work, &file.estimate, own.end - own.start)?;
+        let sharded = ShardedEstimate { estimate, exposed };
+        let work = open_shard(&sharded, shard, folder, resume)?;
+        let progress = Progress::in_folder(work, &sharded.estimate, own.end - own.start)?;
         Ok(RareShard { plan: self, shard, resamples, progress })
     }
 }
-
-const WHAT: &str = "repetitions";
 
 impl RareShard<'_> {
     /// Whether it was made before.
@@ -115,7 +152,7 @@ impl RareShard<'_> {
     /// [`RareError`] if a run cannot be made or a file not written.
     pub fn repeat(&mut self, pilot: &Pilot, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
         let all = self.plan.effort.repetitions as u64;
-        let range = self.shard.range(all, WHAT)?;
+        let range = self.shard.range(all, ShardedEstimate::PARTS)?;
         let own = own_resamples(self.resamples, &range, all);
         let (plan, resamples) = (self.plan, self.resamples);
         let repetitions = self.progress.repeat(plan, pilot, range, done)?;
@@ -127,92 +164,33 @@ impl RareShard<'_> {
             false => Vec::new(),
         };
         let repeated = Repeated { pilot: pilot.clone(), repetitions, resampled };
-        self.progress.finish(REPETITIONS, serde_json::to_string_pretty(&repeated)? + "\n")
+        self.progress.finish(ShardedEstimate::RESULTS, serde_json::to_string_pretty(&repeated)? + "\n")
     }
 }
 
 /// Shards of one estimate.
-#[derive(Debug)]
-pub struct MergedEstimate {
-    record: RareRecord,
-    exposed: Option<Exposed>,
-    pilot: Pilot,
-    /// Of repetitions.
-    parts: Parts<(Repetitions, Vec<Estimate>)>,
-}
+pub type MergedEstimate = Merged<ShardedEstimate>;
 
-impl MergedEstimate {
-    /// Begins with a shard.
-    ///
-    /// # Errors
-    /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        let (ShardFile { shard, estimate: record, exposed, .. }, repeated) = read(found)?;
-        let Repeated { pilot, repetitions, resampled } = repeated;
-        let mut merged = Self { record, exposed, pilot, parts: Parts::of(folder) };
-        merged.place(folder, shard, (repetitions, resampled))?;
-        Ok(merged)
-    }
-
-    /// Takes in another shard. After an error it is as it was.
-    ///
-    /// # Errors
-    /// [`MergeError`] if it cannot be read, or does not go with the others.
-    pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
-        let (file, repeated) = read(found)?;
-        if file.estimate != self.record {
-            return Err(self.parts.foreign(folder, "what is estimated, how or by which release".to_owned()));
-        }
-        if file.exposed != self.exposed {
-            return Err(self.parts.foreign(folder, "the number of resamples".to_owned()));
-        }
-        // The same seed has placed the same levels, wherever that was.
-        if repeated.pilot != self.pilot {
-            return Err(self.parts.foreign(folder, "the pilot, as of another build,".to_owned()));
-        }
-        self.place(folder, file.shard, (repeated.repetitions, repeated.resampled))
-    }
-
-    fn place(&mut self, folder: &Path, shard: Shard, came_to: (Repetitions, Vec<Estimate>)) -> Result<(), MergeError> {
-        let all = self.record.effort.repetitions as u64;
-        let range =
-            shard.range(all, WHAT).map_err(|error| WorkError::damaged(&folder.join(SHARD), error.to_string()))?;
-        self.parts.place(folder, shard, range, came_to)
-    }
-
-    /// Which shards are missing.
-    #[must_use]
-    pub fn missing_shards(&self) -> MissingShards {
-        self.parts.missing_shards()
-    }
-
-    /// Repetitions that are missing.
-    #[must_use]
-    pub fn missing(&self) -> u64 {
-        self.parts.missing(self.record.effort.repetitions as u64).iter().map(|range| range.end - range.start).sum()
-    }
-
+impl Merged<ShardedEstimate> {
     /// The estimate, with what it comes to per hour where the space says in how much driving it was seen; none while repetitions are
     /// missing.
     ///
     /// # Errors
     /// [`MergeError`] if the estimates in resamples are not those of the space.
     pub fn report(&self) -> Result<Option<RareReport>, MergeError> {
-        if self.missing() > 0 {
-            return Ok(None);
-        }
-        let repetitions = self.parts.contents().map(|(repetitions, _)| repetitions);
-        let report = self.record.report(self.pilot.summary(repetitions));
+        let Some(first) = self.results().next().filter(|_| self.missing_parts() == 0) else { return Ok(None) };
+        let repetitions = self.results().map(|repeated| &repeated.repetitions);
+        let report = self.work.estimate.report(first.pilot.summary(repetitions));
         Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
     }
 
     fn exposed(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
-        let Some(Exposed { resamples, space_text }) = &self.exposed else { return Ok(None) };
+        let Some(Exposed { resamples, space_text }) = &self.work.exposed else { return Ok(None) };
         let unusable = |problem: String| self.parts.unusable(SHARD, problem);
         let space = file::from_toml(space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let mut kept = PutTogether::of(self.parts.contents().flat_map(|(_, resampled)| resampled).cloned().collect());
-        let resamples = estimate_again(&space, self.record.seed, *resamples, &mut |_: &Space, _| kept.next());
+        let mut kept = PutTogether::of(self.results().flat_map(|repeated| &repeated.resampled).cloned().collect());
+        let resamples = estimate_again(&space, self.work.estimate.seed, *resamples, &mut |_: &Space, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =
             resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
@@ -226,7 +204,7 @@ impl MergedEstimate {
     /// [`RareError`] if the shards do not go with their space, or the folder cannot be used, or holds something else.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, RareReport)>, RareError> {
         let Some(report) = self.report()? else { return Ok(None) };
-        let folder = self.record.in_folder(folder, true)?;
+        let folder = self.work.estimate.in_folder(folder, true)?;
         match folder.kept()? {
             Some(kept) if kept != report.kept() => {
                 let problem = "there is an estimate of the same configuration that came to something else";
@@ -236,25 +214,4 @@ impl MergedEstimate {
         }
         Ok(Some((folder.path(), report)))
     }
-}
-
-fn read(found: &Finished) -> Result<(ShardFile, Repeated), WorkError> {
-    let unreadable = |name: &'static str| move |error: serde_json::Error| found.unreadable(name, &error);
-    let file: ShardFile = shard::read_shard(found, VERSION)?;
-    let repeated: Repeated = serde_json::from_str(&found.read(REPETITIONS)?).map_err(unreadable(REPETITIONS))?;
-    let range = file.shard.range(file.estimate.effort.repetitions as u64, WHAT);
-    let range = range.map_err(|error| found.damaged(SHARD, error))?;
-    let made = if repeated.pilot.reaches_failure() { range.end - range.start } else { 0 };
-    let resamples = file.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
-    let own = own_resamples(resamples, &range, file.estimate.effort.repetitions as u64);
-    let is_of_space = |exposed: &Exposed| sha256(&exposed.space_text) == file.estimate.space_sha256;
-    let is_sound = repeated.pilot.is_of(file.estimate.method, file.estimate.effort, file.estimate.seed)
-        && repeated.pilot.may_have(&repeated.repetitions)
-        && file.exposed.iter().all(is_of_space)
-        // There are fewer where no space could be fitted to some.
-        && repeated.resampled.len() as u64 <= own.end - own.start;
-    if repeated.repetitions.count() != made || !is_sound {
-        return Err(found.damaged(REPETITIONS, format!("not what shard {} of that estimate comes to", file.shard)));
-    }
-    Ok((file, repeated))
 }

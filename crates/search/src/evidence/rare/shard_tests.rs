@@ -66,7 +66,7 @@ fn put_together(seed: u64) {
         folders.iter().for_each(|folder| merged.take(folder, &finished(folder)).unwrap());
         let out = root.path().join("merged");
         assert_eq!(merged.write_in(&out).unwrap().is_some(), is_whole);
-        assert_eq!(merged.missing() == 0, is_whole);
+        assert_eq!((merged.missing_parts() == 0), is_whole);
         if is_whole {
             complete += 1;
             for name in ["rare-estimate.json", "work.json"] {

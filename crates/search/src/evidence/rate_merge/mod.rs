@@ -12,21 +12,13 @@ use serde::Serialize;
 
 use super::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, run_again};
 use super::rate_folder::RateFolderError;
-use super::rate_shard::CountedShard;
+use super::rate_shard::ShardedCount;
 use super::record::{CountRecord, Tally, length};
-use crate::shard::{MergeError, MissingShards, Parts, SHARD};
-use crate::work::Finished;
+use crate::shard::{MergeError, Merged, MissingShards, SHARD};
 use crumple_world::scenario::space::{Space, file};
 
 /// Shards of one count.
-#[derive(Debug)]
-pub struct MergedCount {
-    record: CountRecord,
-    /// Resamples of the episodes that the space was fitted to, and new runs in each.
-    resampling: Option<(u32, u32)>,
-    /// Of blocks.
-    parts: Parts<Tally>,
-}
+pub type MergedCount = Merged<ShardedCount>;
 
 /// What shards come to, all of them or not.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -58,54 +50,11 @@ pub struct SoFar {
     pub rate_at_most: Option<f64>,
 }
 
-impl MergedCount {
-    /// Begins with a shard.
-    ///
-    /// # Errors
-    /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        let shard = CountedShard::read(found)?;
-        let mut merged = Self { record: shard.record, resampling: shard.resampling, parts: Parts::of(folder) };
-        merged.parts.place(folder, shard.shard, shard.blocks, shard.tally)?;
-        Ok(merged)
-    }
-
-    /// Takes in another shard. After an error it is as it was.
-    ///
-    /// # Errors
-    /// [`MergeError`] if it cannot be read, or does not go with the others.
-    pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
-        let shard = CountedShard::read(found)?;
-        match self.difference(&shard) {
-            Some(field) => Err(self.parts.foreign(folder, field)),
-            None => self.parts.place(folder, shard.shard, shard.blocks, shard.tally),
-        }
-    }
-
-    /// In what another record differs.
-    fn difference(&self, shard: &CountedShard) -> Option<String> {
-        let (own, other) = (self.record.registration(), shard.record.registration());
-        let keys = own.configuration.keys().chain(other.configuration.keys());
-        let differs = |key: &&String| own.configuration.get(*key) != other.configuration.get(*key);
-        let fields = [
-            ("runs", own.runs != other.runs),
-            ("confidence", own.confidence != other.confidence),
-            ("block_runs", own.block_runs != other.block_runs),
-            ("resampling", self.resampling != shard.resampling),
-        ];
-        let key = keys.into_iter().find(differs).map(|key| format!("configuration.{key}"));
-        key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
-    }
-
+impl Merged<ShardedCount> {
     /// What was fixed before the first run.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
-        &self.record
-    }
-
-    /// Blocks that no shard has.
-    fn missing(&self) -> Vec<Range<u64>> {
-        self.parts.missing(self.record.blocks())
+        &self.work.count
     }
 
     /// Whether every run was counted.
@@ -118,14 +67,14 @@ impl MergedCount {
     #[must_use]
     pub fn so_far(&self) -> SoFar {
         let sum = |of: fn(&Tally) -> u64| self.parts.contents().map(of).sum::<u64>();
-        let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record.runs_of(blocks)).collect();
+        let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record().runs_of(blocks)).collect();
         let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
         let open: u64 = missing.iter().map(length).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
         SoFar {
-            registration_sha256: self.record.registration().digest(),
-            registered_runs: self.record.registration().runs,
+            registration_sha256: self.record().registration().digest(),
+            registered_runs: self.record().registration().runs,
             runs: sum(|tally| tally.runs),
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
@@ -135,10 +84,10 @@ impl MergedCount {
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
             missing_shards,
             of_shards,
-            rate_at_most: match (self.record.is_of_two(), missing.is_empty()) {
+            rate_at_most: match (self.record().is_of_two(), missing.is_empty()) {
                 (true, _) => None,
-                (false, true) => Some(self.record.rate_at_most(failures)),
-                (false, false) => Some(self.record.uncertified_rate_at_most(worst)),
+                (false, true) => Some(self.record().rate_at_most(failures)),
+                (false, false) => Some(self.record().uncertified_rate_at_most(worst)),
             },
         }
     }
@@ -149,9 +98,9 @@ impl MergedCount {
         if !self.is_complete() {
             return None;
         }
-        let mut tally = self.record.tally();
+        let mut tally = self.record().tally();
         for (index, block) in (0..).zip(self.parts.contents().flat_map(|part| &part.blocks)) {
-            tally.add(length(&self.record.runs_of(index..index + 1)), block.clone());
+            tally.add(length(&self.record().runs_of(index..index + 1)), block.clone());
         }
         Some(tally)
     }
@@ -162,11 +111,11 @@ impl MergedCount {
     /// # Errors
     /// [`MergeError`] if the new runs in resamples are not those of the space.
     pub fn exposed(&self) -> Result<Option<ExposedRate>, MergeError> {
-        let (Some(tally), Some(resampling)) = (self.tally(), self.resampling) else { return Ok(None) };
+        let (Some(tally), Some(resampling)) = (self.tally(), self.work.resampling) else { return Ok(None) };
         let unusable = |problem: String| self.parts.unusable(SHARD, problem);
-        let space = file::from_toml(&self.record.space_text, Path::new("space_text"));
+        let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let seed = self.record.registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
+        let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
         let mut kept = PutTogether::of(self.parts.contents().flat_map(|part| &part.resampled).copied().collect());
         let resamples = run_again(&space, seed, resampling, &mut |_: &Space, _, _| kept.next());
@@ -183,7 +132,7 @@ impl MergedCount {
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, holds something else, or nothing is shown.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, Certificate)>, RateFolderError> {
-        self.tally().map(|tally| self.record.write_in(folder, &tally)).transpose()
+        self.tally().map(|tally| self.record().write_in(folder, &tally)).transpose()
     }
 }
 

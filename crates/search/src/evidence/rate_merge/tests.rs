@@ -6,9 +6,8 @@ use rand::{Rng, RngExt};
 
 use super::*;
 use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
-use crate::shard::SHARD;
-use crate::shard::Shard;
-use crate::work::{Found, find};
+use crate::shard::{Shard, read_shard};
+use crate::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -210,7 +209,8 @@ fn what_is_foreign_tampered_or_contradicts_is_refused() {
         assert!(
             find(&second)
                 .and_then(|found| match found {
-                    Found::Finished(found) => CountedShard::read(&found).map(|_| ()),
+                    Found::Finished(found) =>
+                        read_shard::<ShardedCount>(&found).map(|_| found.read("progress.json").map(|_| ())),
                     _ => Ok(()),
                 })
                 .is_err(),

@@ -11,20 +11,20 @@ use std::path::Path;
 use super::config::Divided;
 use super::findings::Findings;
 use super::run::{CONFIGURATION, JOURNAL, MOST_KINDS, SUMMARY, TEXT, open};
-use super::shard::{MadeShard, Shared};
+use super::shard::{ShardFindings, ShardedCampaign};
 use super::summary::Summary;
 use super::terms::Terms;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, Recorder};
-use crate::shard::{MergeError, MissingShards, Parts};
+use crate::shard::{MergeError, MissingShards, Parts, SHARD, Sharded, read_shard};
 use crate::work::{Finished, WorkError};
 use crumple_world::digest::sha256;
 
 /// Shards of one campaign.
 #[derive(Debug)]
 pub struct MergedCampaign {
-    shared: Shared,
+    work: ShardedCampaign,
     terms: Terms,
     /// Of each method's evaluations; with the digests of what they came to.
     parts: Parts<String>,
@@ -39,11 +39,11 @@ impl MergedCampaign {
     /// # Errors
     /// [`MergeError`] if it cannot be read.
     pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        let (_, shared) = MadeShard::shared(found)?;
-        let terms = Terms::read(shared.campaign.clone(), shared.nondeterministic)
-            .map_err(|problem| MadeShard::unusable(found, problem))?;
+        let (_, work, _) = read_shard::<ShardedCampaign>(found)?;
+        let terms = Terms::read(work.campaign.clone(), work.nondeterministic)
+            .map_err(|problem| found.damaged(SHARD, format!("campaign.{problem}")))?;
         let findings = Findings::of(&terms);
-        let mut merged = Self { shared, terms, parts: Parts::of(folder), findings, examined: BTreeMap::new() };
+        let mut merged = Self { work, terms, parts: Parts::of(folder), findings, examined: BTreeMap::new() };
         merged.take(folder, found)?;
         Ok(merged)
     }
@@ -53,11 +53,11 @@ impl MergedCampaign {
     /// # Errors
     /// [`MergeError`] if it cannot be read, or does not go with the others.
     pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
-        let (shard, shared) = MadeShard::shared(found)?;
-        if let Some(field) = self.difference(&shared) {
+        let (shard, work, part) = read_shard(found)?;
+        if let Some(field) = self.work.difference(&work) {
             return Err(self.parts.foreign(folder, field));
         }
-        let MadeShard { shard, part, findings, examined, text } = MadeShard::read(found, shard, &self.terms)?;
+        let ShardFindings { findings, examined, text } = ShardFindings::read(found, &part, &self.terms)?;
         let duplicates = self.parts.duplicates();
         self.parts.place(folder, shard, part, sha256(text))?;
         if self.parts.duplicates() > duplicates {
@@ -77,19 +77,6 @@ impl MergedCampaign {
         };
         self.examined.retain(|key, _| is_picked(key));
         Ok(())
-    }
-
-    /// In what another one differs.
-    fn difference(&self, other: &Shared) -> Option<String> {
-        if self.shared == *other {
-            return None;
-        }
-        let table = |shared: &Shared| serde_json::to_value(&shared.campaign).unwrap_or_default();
-        let (own, other) = (table(&self.shared), table(other));
-        let differs = |key: &&String| own.get(key) != other.get(key);
-        let keys = own.as_object().into_iter().chain(other.as_object()).flat_map(serde_json::Map::keys);
-        let key = keys.into_iter().find(differs).map(|key| format!("campaign.{key}"));
-        Some(key.unwrap_or_else(|| "nondeterministic".to_owned()))
     }
 
     /// Evaluations of each method that no shard has made, counted from 0.

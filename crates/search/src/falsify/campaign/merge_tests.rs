@@ -7,7 +7,8 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::super::{Aim, Campaign, CampaignError, Log, SHARD_OF_A_CAMPAIGN, Summary};
+use super::super::shard::ShardedCampaign;
+use super::super::{Aim, Campaign, CampaignError, Log, Summary};
 use super::MergedCampaign;
 use crate::falsify::Method;
 use crate::shard::{MergeError, Shard, open_shard};
@@ -304,8 +305,8 @@ fn findings_that_cannot_be_are_refused() {
         let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
         let mut findings: Value = serde_json::from_str(&read("findings.json")).unwrap();
         change(&mut findings);
-        let configuration = read("shard.json");
-        let work = open_shard(&folder, SHARD_OF_A_CAMPAIGN, &configuration, "findings.json", true).unwrap();
+        let sharded: ShardedCampaign = serde_json::from_str(&read("shard.json")).unwrap();
+        let work = open_shard(&sharded, shard, &folder, true).unwrap();
         work.write("findings.json", findings.to_string()).unwrap();
         work.finish().unwrap();
         drop(work);

@@ -22,25 +22,41 @@ use super::terms::Terms;
 use super::{Campaign, CampaignError, FailureCandidate, FailureKind, Log};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, ExaminedRow, Examiner};
-use crate::shard::{self, SHARD, Shard};
+use crate::shard::{Shard, Sharded, open_shard};
 use crate::work::{Finished, WorkError};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_CAMPAIGN: &str = "shard of a campaign";
 
-const FINDINGS: &str = "findings.json";
-/// The version of these files.
-const VERSION: u32 = 1;
-const WHAT: &str = "evaluations of each method";
+const FINDINGS: &str = ShardedCampaign::RESULTS;
 
-/// The file `shard.json`.
+/// Everything that decides a campaign that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ShardFile {
-    version: u32,
-    shard: Shard,
-    nondeterministic: bool,
-    campaign: CampaignRecord,
+pub(super) struct ShardedCampaign {
+    pub(super) nondeterministic: bool,
+    pub(super) campaign: CampaignRecord,
+}
+
+impl Sharded for ShardedCampaign {
+    const KIND: &'static str = SHARD_OF_A_CAMPAIGN;
+    const VERSION: u32 = 1;
+    const RESULTS: &'static str = "findings.json";
+    const PARTS: &'static str = "evaluations of each method";
+
+    fn parts(&self) -> u64 {
+        self.campaign.budget
+    }
+
+    fn difference(&self, other: &Self) -> Option<String> {
+        if self == other {
+            return None;
+        }
+        let [own, other] = [self, other].map(|one| serde_json::to_value(&one.campaign).unwrap_or_default());
+        let differs = |key: &&String| own.get(key) != other.get(key);
+        let keys = own.as_object().into_iter().chain(other.as_object()).flat_map(serde_json::Map::keys);
+        let key = keys.into_iter().find(differs).map(|key| format!("campaign.{key}"));
+        Some(key.unwrap_or_else(|| "nondeterministic".to_owned()))
+    }
 }
 
 /// The file `findings.json`.
@@ -90,15 +106,14 @@ impl Campaign {
         resume: bool,
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<ShardDone, CampaignError> {
-        let part = shard.range(self.budget, WHAT)?;
+        let part = shard.range(self.budget, ShardedCampaign::PARTS)?;
         if let Some(unknown) = self.drivers().find(|driver| driver.kind.identity().is_none()) {
             return Err(CampaignError::UnknownInShards(unknown.name.clone()));
         }
         let terms = Terms::of(self, Log::Summary)?;
         self.check(&terms.nominal)?;
         let (nondeterministic, campaign) = (terms.nondeterministic, terms.record.clone());
-        let file = ShardFile { version: VERSION, shard, nondeterministic, campaign };
-        let work = shard::open_shard(folder, SHARD_OF_A_CAMPAIGN, &json(&file)?, FINDINGS, resume)?;
+        let work = open_shard(&ShardedCampaign { nondeterministic, campaign }, shard, folder, resume)?;
         if work.is_complete() {
             let read = serde_json::from_slice(&work.read_present(FINDINGS)?);
             return Ok(FindingsFile::done(&read.map_err(CampaignError::encoding)?));
@@ -246,42 +261,24 @@ impl FailureCandidate {
     }
 }
 
-/// A shard that was made, as it is read from its folder.
-pub(super) struct MadeShard {
-    pub(super) shard: Shard,
-    pub(super) part: Range<u64>,
+/// Findings of a finished shard.
+pub(super) struct ShardFindings {
     pub(super) findings: Findings,
     pub(super) examined: Vec<Examined>,
-    /// Of the text of its findings.
+    /// Text of the file.
     pub(super) text: String,
 }
 
-/// What shards have to share.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Shared {
-    pub(super) campaign: CampaignRecord,
-    pub(super) nondeterministic: bool,
-}
-
-impl MadeShard {
-    /// What it is a shard of.
-    pub(super) fn shared(found: &Finished) -> Result<(Shard, Shared), WorkError> {
-        let ShardFile { shard, nondeterministic, campaign, .. } = shard::read_shard(found, VERSION)?;
-        Ok((shard, Shared { campaign, nondeterministic }))
-    }
-
-    /// Reads it.
-    pub(super) fn read(found: &Finished, shard: Shard, terms: &Terms) -> Result<Self, WorkError> {
-        let part = shard.range(terms.record.budget, WHAT).map_err(|error| found.damaged(SHARD, error))?;
+impl ShardFindings {
+    /// Reads the findings in the evaluations `part`.
+    ///
+    /// # Errors
+    /// [`WorkError`] if the file is not as it was written, or no such part comes to it.
+    pub(super) fn read(found: &Finished, part: &Range<u64>, terms: &Terms) -> Result<Self, WorkError> {
         let text = found.read(FINDINGS)?;
         let file: FindingsFile = serde_json::from_str(&text).map_err(|error| found.unreadable(FINDINGS, &error))?;
-        let (findings, examined) = file.read(terms, &part).map_err(|problem| found.damaged(FINDINGS, problem))?;
-        Ok(Self { shard, part, findings, examined, text })
-    }
-
-    /// The error about what it says of the campaign.
-    pub(super) fn unusable(found: &Finished, problem: String) -> WorkError {
-        found.damaged(SHARD, format!("campaign.{problem}"))
+        let (findings, examined) = file.read(terms, part).map_err(|problem| found.damaged(FINDINGS, problem))?;
+        Ok(Self { findings, examined, text })
     }
 }
 
