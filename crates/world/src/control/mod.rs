@@ -76,7 +76,6 @@ mod together;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
-pub(crate) use built_in::SimpleRule;
 pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};

@@ -26,5 +26,5 @@ pub(crate) use recorder::ttc_s;
 pub use run::{Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal, Shielded};
-pub use stepper::{ABREAST, Abreast, Moment, Place, Stepper};
+pub use stepper::{Moment, Stepper};
 pub use trace::{Pair, Trace, Track};

@@ -1,12 +1,7 @@
-//! One run whose steps are made one at a time, with room for somebody else to decide for a vehicle.
-
-mod abreast;
-mod short_line;
+//! The scalar engine: one run, one step at a time. A caller may decide for a vehicle in place of its driver.
 
 use std::ops::ControlFlow;
 
-pub use self::abreast::{ABREAST, Abreast, Place};
-use self::short_line::Pause;
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
 use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
@@ -27,7 +22,7 @@ pub struct Stepper<'r, 's> {
     platoon: Platoon,
     loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
-    /// One a vehicle; none of them where nobody wants summaries.
+    /// Smallest time to collision and hardest braking of each vehicle.
     tallies: Vec<Tally>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
@@ -100,13 +95,6 @@ impl<'r, 's> Stepper<'r, 's> {
         }
     }
 
-    /// The same for somebody who looks at each step, as a learner does: smallest times to collision and hardest brakings are not
-    /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
-    #[must_use]
-    pub fn without_summaries(run: &'r Run<'s>) -> Self {
-        Self { tallies: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
-    }
-
     /// Steps of the scenario that were made, the one that ended in a contact included.
     #[must_use]
     pub fn steps_made(&self) -> usize {
@@ -150,8 +138,8 @@ impl<'r, 's> Stepper<'r, 's> {
         }
     }
 
-    /// Lets `command` drive vehicle `index` for up to `steps` steps, by what the vehicle sees, in m/s²: as [`observe`](Self::observe),
-    /// [`command`](Self::command) and [`step`](Self::step) do, until the run ends or `after` a step breaks off.
+    /// Drives vehicle `index` by `command` for up to `steps` steps, from its observation to an acceleration in m/s². Ends early
+    /// when the run ends or `after`, called after each step, breaks.
     pub fn drive(
         &mut self,
         index: usize,
@@ -159,26 +147,14 @@ impl<'r, 's> Stepper<'r, 's> {
         mut command: impl FnMut(&Observation) -> f64,
         mut after: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
     ) {
-        let last = self.step.saturating_add(steps);
-        while self.step < last && !self.ended {
-            let (command, after) = (&mut command, &mut after);
-            let pause = match self.loops.len() {
-                2 => self.drive_line::<2>(index, last, command, after),
-                3 => self.drive_line::<3>(index, last, command, after),
-                4 => self.drive_line::<4>(index, last, command, after),
-                _ => Pause::Undecided,
-            };
-            match pause {
-                Pause::Over => return,
-                Pause::Decided => {}
-                Pause::Undecided => {
-                    if let Some(seen) = self.observe(index) {
-                        self.command(index, command(&seen));
-                    }
-                    self.decide();
-                }
+        for _ in 0..steps {
+            if self.ended {
+                return;
             }
-            self.make_step();
+            if let Some(seen) = self.observe(index) {
+                self.command(index, command(&seen));
+            }
+            self.step();
             let moment = Moment {
                 motion: self.motion(),
                 gap_m: self.gap_m(index),
@@ -428,22 +404,6 @@ mod tests {
                 stepper.step();
             }
             assert_eq!(stepper.finish(), inside);
-        }
-    }
-
-    /// Without summaries a run ends as with them.
-    #[test]
-    fn summaries_change_nothing_else() {
-        let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
-        for index in 0..20 {
-            let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
-            let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
-            let mut stepper = Stepper::without_summaries(&run);
-            while !stepper.has_ended() {
-                stepper.step();
-            }
-            let with = simulate(&run, RecordingLevel::Summary);
-            assert_eq!(stepper.finish(), Simulated { vehicles: Vec::new(), ..with });
         }
     }
 
