@@ -100,7 +100,10 @@ struct Results<'a> {
 }
 
 /// Lane, action, state and last state, reward, and the three flags of its end.
-type Row<'a> = (((&'a mut Lane, &'a f32), (&'a mut [f32], &'a mut [f32])), (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)));
+type Row<'a> = (
+    ((&'a mut Lane, &'a f32), (&'a mut [f32], &'a mut [f32])),
+    (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
+);
 
 impl Lane {
     fn begin(&mut self, task: &Task, state: &mut [f32]) -> Result<(), String> {
@@ -277,10 +280,11 @@ impl Episodes {
             if let Some((index, why)) = refused.next() {
                 return Err(format!("environment {index}: {why}"));
             }
-            let step = |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): Row<'_>| {
-                let results = Results { state, last_state, reward, terminated, truncated, ending };
-                lane.step(&self.task, *action, results)
-            };
+            let step =
+                |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): Row<'_>| {
+                    let results = Results { state, last_state, reward, terminated, truncated, ending };
+                    lane.step(&self.task, *action, results)
+                };
             // A hand-over of all work to a single other thread takes a tenth of the time.
             if pool.current_num_threads() == 1 {
                 let states = states.chunks_exact_mut(STATE).zip(last_states.chunks_exact_mut(STATE));
