@@ -60,6 +60,7 @@ mod fuzzy_safety;
 mod history;
 mod idm;
 mod interval;
+mod kind;
 mod mapping;
 mod match_leader;
 mod network;
@@ -80,6 +81,7 @@ pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role}
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
+pub use kind::{ControllerKind, Shielded};
 pub use mapping::{HistoryPadding, Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;
 pub use network::{NetworkController, NetworkDriver};

@@ -4,14 +4,13 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
-    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, StartRefused,
+    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
+    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, Shielded, StartRefused,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
-use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
+use crate::scenario::controller_file::{self, ControllerFileError, is_ordinary};
 use crate::scenario::file::{MOST_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller to put under test, and what it is called.
@@ -161,7 +160,7 @@ impl NamedController {
     }
 
     /// Finds the controller that a file names: a built-in one, or the one in another file; a relative path starts at `folder`
-    /// ([`FileController::load`]). For names that the user gives there is [`Self::find_for_user`].
+    /// ([`controller_file::load`]). For names that the user gives there is [`Self::find_for_user`].
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -202,43 +201,39 @@ impl NamedController {
     /// As [`Self::find_for_user`], and [`UnknownController::NotStarted`].
     pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         let found = Self::find_for_user(name, folder)?;
-        found.try_start(folder)?;
+        found.try_start()?;
         Ok(found)
     }
 
-    /// The trial alone, of one whose name starts at `folder`.
+    /// Starts its program once as a trial.
     ///
     /// # Errors
     /// [`UnknownController::NotStarted`].
-    pub fn try_start(&self, folder: &Path) -> Result<(), UnknownController> {
-        let not_started = |failure| UnknownController::NotStarted { place: self.said_at(folder), failure };
+    pub fn try_start(&self) -> Result<(), UnknownController> {
+        let not_started = |failure| UnknownController::NotStarted { place: self.place_of_program(), failure };
         self.kind.try_start().map_err(not_started)
     }
 
-    /// Where it says what is to be started, to stand before what is wrong with that; nothing for a command by itself.
-    fn said_at(&self, folder: &Path) -> String {
+    /// Returns file, line and field that name the program, as a prefix of a message; empty for a command by itself.
+    fn place_of_program(&self) -> String {
         let mut kind = &self.kind;
         while let ControllerKind::Shielded(shielded) = kind {
             kind = &shielded.controller;
         }
         let is_fmu = matches!(kind, ControllerKind::Process(process) if process.setup().program.is_some());
         let field = if is_fmu { "fmu" } else { "command" };
-        match self.place_of(field, folder) {
+        match self.place_of(field) {
             None => String::new(),
-            // Only a controller file says fields.
+            // Only a controller file has fields.
             Some(place @ FieldPlace { line: None, .. }) => place.to_string(),
             Some(place) => format!("{place}{field}: "),
         }
     }
 
-    /// Where a field of its file is, of a controller whose name starts at `folder`; none of a command by itself, which has no file.
+    /// Returns the place of a field of its file; none without a file that states a mapping or a command.
     #[must_use]
-    pub fn place_of(&self, field: &str, folder: &Path) -> Option<FieldPlace> {
-        let inner = without_shields(&self.name);
-        if inner.starts_with(EXEC) {
-            return None;
-        }
-        let path = folder.join(inner);
+    pub fn place_of(&self, field: &str) -> Option<FieldPlace> {
+        let path = self.kind.file()?.to_owned();
         let is_controller_file = path.extension().is_some_and(|extension| extension == "toml");
         let text = is_controller_file.then(|| read_at_most(&path, MOST_TOML_BYTES).ok()).flatten();
         let line = text.map(|text| line_in_toml(&text, field));
@@ -292,7 +287,7 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        Ok(Self { name: name.to_owned(), kind: FileController::load(&place, named_by)?.into() })
+        Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by

@@ -1,16 +1,26 @@
-//! What may drive the vehicles under test.
+//! Sources of controllers: each starts a controller for a vehicle of a run.
 
+use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
-use super::shielding::Shielded;
-use crate::control::{
+use super::{
     ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
+    ShieldSettings,
 };
 use crate::digest::sha256;
 use crate::policy::Policy;
-use crate::scenario::controller_file::FileController;
 
-/// What drives the vehicles under test.
+/// A controller behind a shield.
+#[derive(Clone)]
+pub struct Shielded {
+    /// Controller that drives as long as the shield admits its commands.
+    pub controller: ControllerKind,
+    /// Settings of the user.
+    pub settings: ShieldSettings,
+}
+
+/// Source of the controllers of vehicles.
 #[derive(Clone)]
 pub enum ControllerKind {
     /// A built-in controller.
@@ -40,6 +50,17 @@ impl ControllerKind {
                 Some(sha256(format!("shield {:?} {}", shielded.settings, shielded.controller.identity()?)))
             }
             Self::Custom(source) => source.identity(),
+        }
+    }
+
+    /// Returns the controller file, network or FMU that states the mapping or the command; none without such a file.
+    #[must_use]
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Network(network) => network.file_path(),
+            Self::Process(process) => process.setup().file.as_deref(),
+            Self::Shielded(shielded) => shielded.controller.file(),
+            Self::BuiltIn(_) | Self::Policy(_) | Self::Custom(_) => None,
         }
     }
 
@@ -131,7 +152,7 @@ impl ControllerKind {
     }
 
     /// Whether its runs can be made in lockstep: a process that does not answer in batches is needed once for each.
-    pub(super) fn steps_together(&self, ego: impl FnOnce() -> Ego) -> bool {
+    pub(crate) fn steps_together(&self, ego: impl FnOnce() -> Ego) -> bool {
         match self {
             Self::Shielded(shielded) => shielded.controller.steps_together(ego),
             Self::Process(process) => process.takes_batches(&ego()),
@@ -139,7 +160,7 @@ impl ControllerKind {
         }
     }
 
-    pub(super) fn needs(&self) -> Needs {
+    pub(crate) fn needs(&self) -> Needs {
         match self {
             Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Process(_) => Needs::Nothing,
             Self::Shielded(shielded) => shielded.controller.needs(),
@@ -178,18 +199,14 @@ impl From<Arc<ProcessController>> for ControllerKind {
     }
 }
 
-impl From<FileController> for ControllerKind {
-    fn from(controller: FileController) -> Self {
-        match controller {
-            FileController::Policy(policy) => Self::Policy(policy),
-            FileController::Network(network) => Self::Network(network),
-            FileController::Process(process) => Self::Process(process),
-        }
-    }
-}
-
 impl<S: ControllerSource + 'static> From<Arc<S>> for ControllerKind {
     fn from(source: Arc<S>) -> Self {
         Self::Custom(source)
+    }
+}
+
+impl fmt::Debug for ControllerKind {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_tuple("ControllerKind").field(&self.identity()).finish()
     }
 }
