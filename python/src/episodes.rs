@@ -289,8 +289,8 @@ impl Episodes {
             if pool.current_num_threads() == 1 {
                 let states = states.chunks_exact_mut(STATE).zip(last_states.chunks_exact_mut(STATE));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
-                let rows = lanes.iter_mut().zip(actions).zip(states).zip(rewards.iter_mut().zip(ends));
-                return rows.into_iter().try_for_each(step);
+                let mut rows = lanes.iter_mut().zip(actions).zip(states).zip(rewards.iter_mut().zip(ends));
+                return rows.try_for_each(step);
             }
             let states = states.par_chunks_exact_mut(STATE).zip(last_states.par_chunks_exact_mut(STATE));
             let ends = terminated.par_iter_mut().zip(truncated).zip(endings);

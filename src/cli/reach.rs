@@ -82,7 +82,6 @@ impl Reach {
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
                 let place = self.controller.place_of(&invalid.field);
-                let place = place.map(|place| place.to_string()).unwrap_or_default();
                 Failure::Input(format!("--controller: {place}cannot be followed: {invalid}"))
             }
             other => Failure::Input(format!("{place}: {other}")),

@@ -268,10 +268,10 @@ fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
 fn a_field_of_a_controller_is_found_in_its_file() {
     let folder = bench();
     for name in ["near.toml", "shield:near.toml"] {
-        let told = find(name, folder.path()).place_of("files").unwrap().to_string();
+        let told = find(name, folder.path()).place_of("files");
         assert_eq!(told, folder.path().join("near.toml:3: ").display().to_string());
     }
-    assert_eq!(find("exec:near", folder.path()).place_of("files"), None);
+    assert_eq!(find("exec:near", folder.path()).place_of("files"), "");
 }
 
 #[test]

@@ -53,118 +53,110 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the controller file, network or FMU that states the mapping or the command; none without such a file.
+    /// Returns the source behind all shields.
     #[must_use]
-    pub fn file(&self) -> Option<&Path> {
+    pub fn unshielded(&self) -> &Self {
         match self {
-            Self::Network(network) => network.file_path(),
-            Self::Process(process) => process.setup().file.as_deref(),
-            Self::Shielded(shielded) => shielded.controller.file(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Custom(_) => None,
+            Self::Shielded(shielded) => shielded.controller.unshielded(),
+            other => other,
         }
     }
 
-    /// What may be wrong with it, a line each: so far, how a network's mapping fits the spaces in which it was trained.
+    /// Returns the controller file, network or FMU that states the mapping or the command; none without such a file.
+    #[must_use]
+    pub fn file(&self) -> Option<&Path> {
+        match self.unshielded() {
+            Self::Network(network) => network.file_path(),
+            Self::Process(process) => process.setup().file.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// Returns what may be wrong with the controller, a line each: mismatches of a network's mapping and the spaces of its training.
     #[must_use]
     pub fn doubts(&self) -> Vec<String> {
-        match self {
+        match self.unshielded() {
             Self::Network(network) => network.doubts(),
-            Self::Shielded(shielded) => shielded.controller.doubts(),
             _ => Vec::new(),
         }
     }
 
-    /// Time between its decisions, in seconds; none if it decides at every step, or is a process that has yet to say so. Starts
-    /// nothing.
+    /// Returns the time between decisions, in seconds; none for a decision at every step, and for a process that states it only
+    /// once it runs. Starts nothing.
     #[must_use]
     pub fn interval_s(&self) -> Option<f64> {
-        match self {
-            Self::Shielded(shielded) => shielded.controller.interval_s(),
+        match self.unshielded() {
             Self::Network(network) => network.mapping().decision_interval_s,
             Self::Process(process) => process.setup().mapping.decision_interval_s,
             Self::Custom(source) => source.interval_s(),
-            Self::BuiltIn(_) | Self::Policy(_) => self.policy().map(|policy| policy.header().decision_interval_s),
+            _ => self.policy().map(|policy| policy.header().decision_interval_s),
         }
     }
 
-    /// Its policy, if it is one of crumple's own, behind a shield or not.
+    /// Returns the policy of one of crumple's own, behind a shield or not.
     #[must_use]
     pub fn policy(&self) -> Option<Arc<Policy>> {
-        match self {
+        match self.unshielded() {
             Self::BuiltIn(spec) => spec.policy(),
             Self::Policy(policy) => Some(Arc::clone(policy)),
-            Self::Shielded(shielded) => shielded.controller.policy(),
-            Self::Network(_) | Self::Process(_) | Self::Custom(_) => None,
+            _ => None,
         }
     }
 
-    /// Whether a network drives, crumple's own or one from outside, behind a shield or not.
+    /// Returns true for a network, crumple's own or one from outside, behind a shield or not.
     #[must_use]
     pub fn is_learned(&self) -> bool {
-        match self {
-            Self::Network(_) => true,
-            Self::Shielded(shielded) => shielded.controller.is_learned(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Process(_) | Self::Custom(_) => self.policy().is_some(),
-        }
+        matches!(self.unshielded(), Self::Network(_)) || self.policy().is_some()
     }
 
-    /// Whether it is a controller from outside that can fail, behind a shield or not. A network cannot.
+    /// Returns true for a controller from outside that can fail, behind a shield or not. A network cannot.
     #[must_use]
     pub fn is_from_outside(&self) -> bool {
-        match self {
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) => false,
-            Self::Shielded(shielded) => shielded.controller.is_from_outside(),
-            Self::Process(_) | Self::Custom(_) => true,
-        }
+        matches!(self.unshielded(), Self::Process(_) | Self::Custom(_))
     }
 
-    /// Whether nothing says that it is not deterministic. A process may say so once it was asked.
+    /// Returns false for a process that its file, or its own answer, calls nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
-        match self {
-            Self::Shielded(shielded) => shielded.controller.is_deterministic(),
+        match self.unshielded() {
             Self::Process(process) => process.is_deterministic(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => true,
+            _ => true,
         }
     }
 
-    /// Starts what has to be started, for no run, and ends it: whether there is anything to be asked at all.
+    /// Starts the program of a process, for no run, and ends it.
     ///
     /// # Errors
     /// [`ControllerFailure`] of a process that cannot be started or does not introduce itself.
     pub fn try_start(&self) -> Result<(), ControllerFailure> {
-        match self {
-            Self::Shielded(shielded) => shielded.controller.try_start(),
+        match self.unshielded() {
             Self::Process(process) => process.try_start(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => Ok(()),
+            _ => Ok(()),
         }
     }
 
-    /// Why a process is refused, if it is by now: it contradicted its own claim to be deterministic, or cannot be started any more. Its runs
-    /// then say nothing of their scenarios.
+    /// Returns the reason for which a process is refused by now: it contradicted its own claim to be deterministic, or cannot be
+    /// started any more. Its runs then say nothing of their scenarios.
     #[must_use]
     pub fn refusal(&self) -> Option<ControllerFailure> {
-        match self {
-            Self::Shielded(shielded) => shielded.controller.refusal(),
+        match self.unshielded() {
             Self::Process(process) => process.refusal(),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => None,
+            _ => None,
         }
     }
 
-    /// Whether its runs can be made in lockstep: a process that does not answer in batches is needed once for each.
+    /// Returns true if its runs can be made in lockstep: a process that does not answer in batches is needed once for each run.
     pub(crate) fn steps_together(&self, ego: impl FnOnce() -> Ego) -> bool {
-        match self {
-            Self::Shielded(shielded) => shielded.controller.steps_together(ego),
+        match self.unshielded() {
             Self::Process(process) => process.takes_batches(&ego()),
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Custom(_) => true,
+            _ => true,
         }
     }
 
     pub(crate) fn needs(&self) -> Needs {
-        match self {
-            Self::BuiltIn(_) | Self::Policy(_) | Self::Network(_) | Self::Process(_) => Needs::Nothing,
-            Self::Shielded(shielded) => shielded.controller.needs(),
+        match self.unshielded() {
             Self::Custom(source) => source.needs(),
+            _ => Needs::Nothing,
         }
     }
 }

@@ -17,7 +17,7 @@ mod trace;
 pub(crate) use lane::SAME_INSTANT_S;
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
-pub use named::{FieldPlace, NamedController, RefusedController, UnknownController};
+pub use named::{NamedController, RefusedController, UnknownController};
 pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, Unanswered, VehicleSummary};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;

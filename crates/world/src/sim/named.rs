@@ -1,7 +1,7 @@
 //! What can be put under test, by name.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
@@ -36,23 +36,6 @@ const MOST_SHIELDS: usize = 8;
 
 /// What stands before a command.
 const EXEC: &str = "exec:";
-
-/// Where a file of a controller says something, to stand before what is wrong with it: `acc.toml:12: `.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FieldPlace {
-    path: PathBuf,
-    /// None of a file that is no controller file, or cannot be read any more.
-    line: Option<usize>,
-}
-
-impl fmt::Display for FieldPlace {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.line {
-            Some(line) => write!(out, "{}:{line}: ", self.path.display()),
-            None => write!(out, "{}: ", self.path.display()),
-        }
-    }
-}
 
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
@@ -210,34 +193,26 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController::NotStarted`].
     pub fn try_start(&self) -> Result<(), UnknownController> {
-        let not_started = |failure| UnknownController::NotStarted { place: self.place_of_program(), failure };
-        self.kind.try_start().map_err(not_started)
+        let field = match self.kind.unshielded() {
+            ControllerKind::Process(process) if process.setup().program.is_some() => "fmu",
+            _ => "command",
+        };
+        let place = || match self.kind.file().is_some_and(is_toml) {
+            true => format!("{}{field}: ", self.place_of(field)),
+            false => self.place_of(field),
+        };
+        self.kind.try_start().map_err(|failure| UnknownController::NotStarted { place: place(), failure })
     }
 
-    /// Returns file, line and field that name the program, as a prefix of a message; empty for a command by itself.
-    fn place_of_program(&self) -> String {
-        let mut kind = &self.kind;
-        while let ControllerKind::Shielded(shielded) = kind {
-            kind = &shielded.controller;
-        }
-        let is_fmu = matches!(kind, ControllerKind::Process(process) if process.setup().program.is_some());
-        let field = if is_fmu { "fmu" } else { "command" };
-        match self.place_of(field) {
-            None => String::new(),
-            // Only a controller file has fields.
-            Some(place @ FieldPlace { line: None, .. }) => place.to_string(),
-            Some(place) => format!("{place}{field}: "),
-        }
-    }
-
-    /// Returns the place of a field of its file; none without a file that states a mapping or a command.
+    /// Returns file and line of a field, as a prefix of a message (`acc.toml:12: `); empty without a file that states a mapping or
+    /// a command.
     #[must_use]
-    pub fn place_of(&self, field: &str) -> Option<FieldPlace> {
-        let path = self.kind.file()?.to_owned();
-        let is_controller_file = path.extension().is_some_and(|extension| extension == "toml");
-        let text = is_controller_file.then(|| read_at_most(&path, MOST_TOML_BYTES).ok()).flatten();
-        let line = text.map(|text| line_in_toml(&text, field));
-        Some(FieldPlace { path, line })
+    pub fn place_of(&self, field: &str) -> String {
+        let Some(path) = self.kind.file() else { return String::new() };
+        match read_at_most(path, MOST_TOML_BYTES) {
+            Ok(text) if is_toml(path) => format!("{}:{}: ", path.display(), line_in_toml(&text, field)),
+            _ => format!("{}: ", path.display()),
+        }
     }
 
     /// Whether its runs so far say something of it: to be asked before anything that was found is told.
@@ -308,6 +283,11 @@ impl NamedController {
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
     }
+}
+
+/// Returns true for a controller file, the only kind of file with fields.
+fn is_toml(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "toml")
 }
 
 /// Returns the name of the controller behind all shields.

@@ -140,6 +140,8 @@ pub struct Run<'s> {
     scenario: &'s Scenario,
     options: RunOptions,
     substeps: usize,
+    /// Integration step, in seconds.
+    dt_s: f64,
     /// Made when the first vehicle needs it: most runs with the true state never do.
     tuning: OnceLock<EgoTuning>,
     /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
@@ -157,7 +159,8 @@ impl<'s> Run<'s> {
             None => 1,
             Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
         };
-        let mut run = Self { scenario, options, substeps, tuning: OnceLock::new(), frames: Vec::new() };
+        let dt_s = step_s / substeps as f64;
+        let mut run = Self { scenario, options, substeps, dt_s, tuning: OnceLock::new(), frames: Vec::new() };
         let found = run.vehicle_samples();
         if found > MOST_VEHICLE_STEPS {
             return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
@@ -211,7 +214,7 @@ impl<'s> Run<'s> {
     /// The integration step, in seconds.
     #[must_use]
     pub fn dt_s(&self) -> f64 {
-        self.scenario.spec().step_s / self.substeps as f64
+        self.dt_s
     }
 
     /// Integration steps times vehicles.

@@ -18,7 +18,6 @@ use crate::observation::Observation;
 /// [`command`](Self::command) decides for it: its own driver is then not asked.
 pub struct Stepper<'r, 's> {
     run: &'r Run<'s>,
-    pace: Pace,
     platoon: Platoon,
     loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
@@ -44,33 +43,6 @@ pub struct Moment<'a> {
     pub has_ended: bool,
 }
 
-/// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
-#[derive(Debug, Clone, Copy)]
-struct Pace {
-    step_s: f64,
-    dt_s: f64,
-    substeps: usize,
-    steps: usize,
-    after_contact: AfterContact,
-}
-
-impl Pace {
-    fn of(run: &Run<'_>) -> Self {
-        Self {
-            step_s: run.scenario().spec().step_s,
-            dt_s: run.dt_s(),
-            substeps: run.substeps(),
-            steps: run.scenario().steps(),
-            after_contact: run.options().after_contact,
-        }
-    }
-
-    /// As [`Run::time_s`] has it.
-    fn time_s(self, step: usize, substep: usize) -> f64 {
-        step as f64 * self.step_s + substep as f64 * self.dt_s
-    }
-}
-
 impl<'r, 's> Stepper<'r, 's> {
     /// The run at its start.
     #[must_use]
@@ -82,7 +54,6 @@ impl<'r, 's> Stepper<'r, 's> {
         see_ttc(&mut tallies, &platoon);
         Self {
             run,
-            pace: Pace::of(run),
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             decided_mps2: vec![0.0; loops.len()],
             platoon,
@@ -177,7 +148,7 @@ impl<'r, 's> Stepper<'r, 's> {
 
     /// The instants between which the next step lies, in seconds.
     fn span_s(&self) -> [f64; 2] {
-        [self.pace.time_s(self.step, 0), self.pace.time_s(self.step + 1, 0)]
+        [self.run.time_s(self.step, 0), self.run.time_s(self.step + 1, 0)]
     }
 
     /// Lets everybody decide.
@@ -208,26 +179,26 @@ impl<'r, 's> Stepper<'r, 's> {
         if self.has_touched() {
             self.platoon.share_acceleration();
         }
-        for substep in 0..self.pace.substeps {
-            self.advance(self.pace.time_s(self.step, substep));
+        for substep in 0..self.run.substeps() {
+            self.advance(self.run.time_s(self.step, substep));
             if self.ended {
                 break;
             }
         }
         self.step += 1;
-        self.ended |= self.step == self.pace.steps;
+        self.ended |= self.step == self.run.scenario().steps();
     }
 
     fn advance(&mut self, from_s: f64) {
-        let Self { platoon, tallies, trace, impacts, .. } = self;
+        let Self { run, platoon, tallies, trace, impacts, .. } = self;
         if let Some(trace) = trace {
             trace.sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
             tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
         }
-        let Pace { dt_s, after_contact, .. } = self.pace;
-        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
+        let after_contact = run.options().after_contact;
+        let done_s = platoon.advance(from_s, run.dt_s(), after_contact, impacts);
         see_ttc(tallies, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
