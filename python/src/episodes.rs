@@ -6,7 +6,7 @@ use crumple_learn::rl::{Ending, Episode, ScenarioSource, Terms, TrainingConfig, 
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE;
 use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::{ABREAST, Abreast, Place, Run, RunOptions};
+use crumple_world::sim::{Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -23,9 +23,6 @@ use crate::values::choice;
 const LEAST_OF_A_THREAD: usize = 16;
 
 const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
-
-/// Episodes that are computed side by side at least: what is computed is always as wide, and fewer are faster one by one.
-const LEAST_SIDE_BY_SIDE: usize = 4;
 
 /// Most episodes at once.
 const MOST_EPISODES: usize = 1 << 20;
@@ -102,6 +99,12 @@ struct Results<'a> {
     ending: &'a mut u8,
 }
 
+/// Lane, action, state and last state, reward, and the three flags of its end.
+type Row<'a> = (
+    ((&'a mut Lane, &'a f32), (&'a mut [f32], &'a mut [f32])),
+    (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
+);
+
 impl Lane {
     fn begin(&mut self, task: &Task, state: &mut [f32]) -> Result<(), String> {
         let mut episode = task.episode(self.seed, self.next_index)?;
@@ -122,25 +125,7 @@ impl Lane {
         }
     }
 
-    /// Whether the next step may be computed side by side with those of others.
-    fn suits(&self, abreast: &Abreast) -> bool {
-        let episode = self.episode.as_ref().filter(|_| !self.is_over);
-        episode.is_some_and(|episode| episode.with_dependent(|_, episode| episode.suits(abreast)))
-    }
-
-    /// Takes a place among the episodes that are computed side by side.
-    fn foresee(&mut self, action: f32, abreast: &mut Abreast) -> Option<Place> {
-        let episode = self.episode.as_mut()?;
-        episode.with_dependent_mut(|_, episode| episode.foresee(action.clamp(-1.0, 1.0), abreast))
-    }
-
-    fn step(
-        &mut self,
-        task: &Task,
-        action: f32,
-        foreseen: Option<(&mut Abreast, Place)>,
-        results: Results<'_>,
-    ) -> Result<(), String> {
+    fn step(&mut self, task: &Task, action: f32, results: Results<'_>) -> Result<(), String> {
         let Results { state, last_state, reward, terminated, truncated, ending } = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
@@ -149,11 +134,7 @@ impl Lane {
         let Some(episode) = self.episode.as_mut().filter(|_| !self.is_over) else {
             return Err(MUST_BE_RESET.to_owned());
         };
-        let action = action.clamp(-1.0, 1.0);
-        let led_to = episode.with_dependent_mut(|_, episode| match foreseen {
-            Some((abreast, place)) => episode.decide_as_foreseen(abreast, place),
-            None => episode.decide(action),
-        });
+        let led_to = episode.with_dependent_mut(|_, episode| episode.decide(action.clamp(-1.0, 1.0)));
         self.is_over = led_to.ending != Ending::None;
         *reward = led_to.reward;
         *terminated = self.is_over && !led_to.continues;
@@ -163,53 +144,6 @@ impl Lane {
         if self.is_over && task.autoreset == Autoreset::SameStep {
             last_state.copy_from_slice(&led_to.next_state);
             self.begin(task, state)?;
-        }
-        Ok(())
-    }
-}
-
-/// Some lanes, their actions and where the results go, entry by entry.
-struct Group<'a> {
-    lanes: &'a mut [Lane],
-    actions: &'a [f32],
-    states: &'a mut [f32],
-    last_states: &'a mut [f32],
-    rewards: &'a mut [f32],
-    terminated: &'a mut [bool],
-    truncated: &'a mut [bool],
-    endings: &'a mut [u8],
-}
-
-impl Group<'_> {
-    /// One decision of every lane, side by side as far as they suit.
-    fn step(self, task: &Task, abreast: &mut Option<Abreast>) -> Result<(), String> {
-        let mut places = [None; ABREAST];
-        if self.lanes.len() >= LEAST_SIDE_BY_SIDE {
-            let abreast = abreast.get_or_insert_with(|| Abreast::new(task.terms.config().decision_steps as usize));
-            let mut suit = [false; ABREAST];
-            for (suits, lane) in suit.iter_mut().zip(&*self.lanes) {
-                *suits = lane.suits(abreast);
-            }
-            abreast.clear();
-            let driven = self.lanes.iter_mut().zip(self.actions);
-            for ((place, suits), (lane, action)) in places.iter_mut().zip(suit).zip(driven) {
-                *place = if suits { lane.foresee(*action, abreast) } else { None };
-            }
-            abreast.run();
-        }
-        let states = self.states.chunks_exact_mut(STATE).zip(self.last_states.chunks_exact_mut(STATE));
-        let ends = self.terminated.iter_mut().zip(self.truncated).zip(self.endings);
-        let results = states.zip(self.rewards).zip(ends);
-        let results = results.map(|(((state, last_state), reward), ((terminated, truncated), ending))| Results {
-            state,
-            last_state,
-            reward,
-            terminated,
-            truncated,
-            ending,
-        });
-        for (((lane, action), place), results) in self.lanes.iter_mut().zip(self.actions).zip(places).zip(results) {
-            lane.step(task, *action, abreast.as_mut().zip(place), results)?;
         }
         Ok(())
     }
@@ -346,25 +280,22 @@ impl Episodes {
             if let Some((index, why)) = refused.next() {
                 return Err(format!("environment {index}: {why}"));
             }
-            let states = states.chunks_mut(ABREAST * STATE).zip(last_states.chunks_mut(ABREAST * STATE));
-            let ends =
-                terminated.chunks_mut(ABREAST).zip(truncated.chunks_mut(ABREAST)).zip(endings.chunks_mut(ABREAST));
-            let driven = lanes.chunks_mut(ABREAST).zip(actions.chunks(ABREAST));
-            let groups =
-                driven.zip(states).zip(rewards.chunks_mut(ABREAST)).zip(ends).map(
-                    |((((lanes, actions), (states, last_states)), rewards), ((terminated, truncated), endings))| {
-                        Group { lanes, actions, states, last_states, rewards, terminated, truncated, endings }
-                    },
-                );
-            // To hand all of it to a single other thread, and to wait for that, would take a tenth of the time.
+            let step =
+                |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): Row<'_>| {
+                    let results = Results { state, last_state, reward, terminated, truncated, ending };
+                    lane.step(&self.task, *action, results)
+                };
+            // A hand-over of all work to a single other thread takes a tenth of the time.
             if pool.current_num_threads() == 1 {
-                let mut abreast = None;
-                return groups.into_iter().try_for_each(|group| group.step(&self.task, &mut abreast));
+                let states = states.chunks_exact_mut(STATE).zip(last_states.chunks_exact_mut(STATE));
+                let ends = terminated.iter_mut().zip(truncated).zip(endings);
+                let mut rows = lanes.iter_mut().zip(actions).zip(states).zip(rewards.iter_mut().zip(ends));
+                return rows.try_for_each(step);
             }
-            let groups: Vec<_> = groups.collect();
-            pool.install(|| {
-                groups.into_par_iter().try_for_each_init(|| None, |abreast, group| group.step(&self.task, abreast))
-            })
+            let states = states.par_chunks_exact_mut(STATE).zip(last_states.par_chunks_exact_mut(STATE));
+            let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
+            let rows = lanes.par_iter_mut().zip(actions).zip(states).zip(rewards.par_iter_mut().zip(ends));
+            pool.install(|| rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(step))
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }

@@ -16,7 +16,7 @@ use crumple_world::control::NamedBy;
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::controller_file::{ControllerFileError, FileController};
+use crumple_world::scenario::controller_file::{self, ControllerFileError};
 use crumple_world::sim::NamedController;
 
 /// Accept or reject certificates with the small checker alone
@@ -174,14 +174,14 @@ impl Check {
             if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
                 return Ok(Some(cruise::network(source)?.network_bytes().to_vec()));
             }
-            let read = FileController::load(source, NamedBy::User).map_err(|error| match error {
+            let read = controller_file::load(source, NamedBy::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => Failure::Input(format!(
                     "{place}: is no controller by itself, so the network of the certificate came through a controller file: \
                      name that after --policy"
                 )),
                 other => Failure::input(other),
             })?;
-            let file = checker_file(&read.into()).map_err(|invalid| Failure::Input(format!("{place}: {invalid}")))?;
+            let file = checker_file(&read).map_err(|invalid| Failure::Input(format!("{place}: {invalid}")))?;
             return file.map(Some).ok_or_else(|| Failure::Input(format!("{place}: is no network")));
         }
         let found = certificate.policy_bytes(path, self.policy.as_deref());

@@ -133,8 +133,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             }
         };
     let quiet = arguments.quiet;
-    subject::doubts().iter().for_each(|doubt| output::note(doubt, quiet));
-    let done = match arguments.command {
+    let done = subject::try_controllers(quiet).and_then(|()| match arguments.command {
         Command::Assess(command) => command.run(quiet),
         Command::Simulate(command) => command.run(quiet),
         Command::Import(command) => command.run(quiet),
@@ -159,7 +158,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(commands()),
         Command::Man(command) => command.run(commands(), quiet),
-    };
+    });
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

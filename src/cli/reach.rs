@@ -81,8 +81,7 @@ impl Reach {
             }
             InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
-                let place = self.controller.place_of(&invalid.field, Path::new(""));
-                let place = place.map(|place| place.to_string()).unwrap_or_default();
+                let place = self.controller.place_of(&invalid.field);
                 Failure::Input(format!("--controller: {place}cannot be followed: {invalid}"))
             }
             other => Failure::Input(format!("{place}: {other}")),

@@ -33,9 +33,9 @@ pub(super) fn scenario(name_or_path: &str) -> Result<Scenario, Failure> {
         if let Driver::File(driver) = &vehicle.driver
             && let Some(controller) = driver.controller()
         {
-            let named = NamedController { name: driver.path().to_owned(), kind: controller.clone().into() };
+            let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
             let said = |error| Failure::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
-            named.try_start(Path::new("")).map_err(said)?;
+            named.try_start().map_err(said)?;
         }
     }
     Ok(scenario)
@@ -68,17 +68,14 @@ pub(super) fn space(name_or_path: &str) -> Result<(String, Space), String> {
     Ok((name_or_path.to_owned(), space))
 }
 
-/// A built-in controller or the one in a file, for clap. What has to be started for it is, once, so that a program that is missing is an
-/// argument that is wrong; what may be wrong with it is kept for [`doubts`].
+/// Parses a built-in controller or reads the one in a file, for clap. Starts nothing: [`try_controllers`] does.
 pub(super) fn controller(name: &str) -> Result<NamedController, String> {
-    let found = find(name)?;
-    doubt(&found);
+    let found = NamedController::find_for_user(name, Path::new("")).map_err(|error| error.to_string())?;
+    let mut named = NAMED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !named.iter().any(|other| other.name == found.name) {
+        named.push(found.clone());
+    }
     Ok(found)
-}
-
-/// Finds the controller that an argument names, and starts its program once.
-fn find(name: &str) -> Result<NamedController, String> {
-    NamedController::find_and_try(name, Path::new("")).map_err(|error| error.to_string())
 }
 
 /// A policy of crumple's own, for clap.
@@ -92,18 +89,8 @@ pub(super) fn own_policy(name: &str) -> Result<NamedController, String> {
     controller(name)
 }
 
-/// What may be wrong with controllers that arguments name: whether to be quiet is known only once all of them are read.
-static DOUBTS: Mutex<Vec<String>> = Mutex::new(Vec::new());
-
-/// Keeps what may be wrong with a controller.
-fn doubt(controller: &NamedController) {
-    let mut kept = DOUBTS.lock().unwrap_or_else(PoisonError::into_inner);
-    for doubt in of_controller(controller) {
-        if !kept.contains(&doubt) {
-            kept.push(doubt);
-        }
-    }
-}
+/// Controllers that arguments name. Their programs start only after all arguments are read.
+static NAMED: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 
 /// What may be wrong with a controller, a line each.
 pub(super) fn of_controller(controller: &NamedController) -> impl Iterator<Item = String> {
@@ -111,9 +98,17 @@ pub(super) fn of_controller(controller: &NamedController) -> impl Iterator<Item 
     controller.kind.doubts().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
 }
 
-/// What may be wrong with the controllers that were named, once.
-pub(super) fn doubts() -> Vec<String> {
-    std::mem::take(&mut *DOUBTS.lock().unwrap_or_else(PoisonError::into_inner))
+/// Starts the program of each controller that an argument names, once as a trial, and prints notes on the controllers.
+///
+/// # Errors
+/// [`Failure::Input`] for a program that does not start or does not introduce itself.
+pub(super) fn try_controllers(quiet: bool) -> Result<(), Failure> {
+    let named = std::mem::take(&mut *NAMED.lock().unwrap_or_else(PoisonError::into_inner));
+    for controller in &named {
+        controller.try_start().map_err(|error| Failure::Input(format!("controller `{}`: {error}", controller.name)))?;
+    }
+    named.iter().flat_map(of_controller).for_each(|note| output::note(&note, quiet));
+    Ok(())
 }
 
 /// What a scenario of scripts and fixed drivers does.

@@ -156,11 +156,7 @@ impl TestedController {
     #[must_use]
     pub fn is_process(&self) -> bool {
         let Self::Named(FoundController(found)) = self else { return false };
-        let mut kind = &found.kind;
-        while let ControllerKind::Shielded(shielded) = kind {
-            kind = &shielded.controller;
-        }
-        matches!(kind, ControllerKind::Process(_))
+        matches!(found.kind.unshielded(), ControllerKind::Process(_))
     }
 
     /// What it is called: as on the command line, but for the controller from outside.

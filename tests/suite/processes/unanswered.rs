@@ -82,7 +82,11 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
     for (controller, place, why) in [
         ("missing.toml", "missing.toml:2: command: ", "`./no-such-program` cannot be started: No such file"),
         ("silent.toml", "silent.toml:2: command: ", "ended by itself with exit code 4; it said last: no licence"),
-        ("exec:./no-such-program", "--", "`./no-such-program` cannot be started: No such file"),
+        (
+            "exec:./no-such-program",
+            "controller `exec:./no-such-program`: ",
+            "`./no-such-program` cannot be started: No such file",
+        ),
         ("shield:missing.toml", "missing.toml:2: command: ", "cannot be started"),
     ] {
         for command in commands {
@@ -259,20 +263,15 @@ fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
     assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
 }
 
-/// Wherever its name starts, and behind whatever shields.
+/// Finds fields relative to the folder and behind a shield; a command by itself has no file.
 #[test]
 fn a_field_of_a_controller_is_found_in_its_file() {
     let folder = bench();
-    for (name, place) in
-        [("near.toml", "near.toml:3: "), ("shield:near.toml", "near.toml:3: "), ("near.sh", "near.sh: ")]
-    {
-        let kind = find("near.toml", folder.path()).kind;
-        let controller = NamedController { name: name.to_owned(), kind };
-        let told = controller.place_of("files", folder.path()).unwrap().to_string();
-        assert_eq!(told, folder.path().join(place).display().to_string());
-        let command = NamedController { name: "exec:near".to_owned(), ..controller };
-        assert_eq!(command.place_of("files", folder.path()), None);
+    for name in ["near.toml", "shield:near.toml"] {
+        let told = find(name, folder.path()).place_of("files");
+        assert_eq!(told, folder.path().join("near.toml:3: ").display().to_string());
     }
+    assert_eq!(find("exec:near", folder.path()).place_of("files"), "");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use super::source::ScenarioSource;
 use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::sim::{Abreast, Moment, Motion, Place, Run, Stepper};
+use crumple_world::sim::{Moment, Motion, RecordingLevel, Run, Stepper};
 
 /// Index of the vehicle the agent drives.
 pub(super) const EGO: usize = 1;
@@ -98,7 +98,7 @@ impl<'r, 's> Episode<'r, 's> {
     /// An episode on a run with one vehicle under test behind the leader.
     #[must_use]
     pub fn new(run: &'r Run<'s>, terms: &Arc<Terms>) -> Self {
-        let stepper = Stepper::without_summaries(run);
+        let stepper = Stepper::new(run, RecordingLevel::Summary);
         Self {
             earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
             stepper,
@@ -116,35 +116,9 @@ impl<'r, 's> Episode<'r, 's> {
         self.stepper.observe(EGO).map_or([0.0; STATE], |seen| self.terms.scaling.state(&seen))
     }
 
-    /// Whether the next decision may be made side by side with others.
-    #[must_use]
-    pub fn suits(&self, abreast: &Abreast) -> bool {
-        self.stepper.suits_abreast(EGO, abreast.steps())
-    }
-
-    /// Takes a place among episodes side by side, in which an action is held until the next decision, if it can be made there.
-    pub fn foresee(&mut self, action: f32, abreast: &mut Abreast) -> Option<Place> {
-        // Who comes to rest for good ends inside a decision.
-        let steps = self.terms.config.decision_steps as usize;
-        let is_whole = abreast.steps() == steps && self.standing_steps + steps < self.settled_steps;
-        self.held.turn_to(action);
-        let command_mps2 = self.held.throughout_mps2(&self.terms.bounds).filter(|_| is_whole)?;
-        abreast.admit(&self.stepper, EGO, command_mps2)
-    }
-
-    /// As [`decide`](Self::decide) with the action that was [foreseen](Self::foresee) last, from what was computed side by side with other
-    /// episodes as far as it is of use.
-    pub fn decide_as_foreseen(&mut self, abreast: &mut Abreast, place: Place) -> Consequence {
-        self.hold(Some((abreast, place)))
-    }
-
     /// Holds an action, between -1 and 1, until the next decision.
     pub fn decide(&mut self, action: f32) -> Consequence {
         self.held.turn_to(action);
-        self.hold(None)
-    }
-
-    fn hold(&mut self, foreseen: Option<(&mut Abreast, Place)>) -> Consequence {
         let Self { stepper, terms, earnings, held, standing_steps, .. } = self;
         let Terms { config, bounds, .. } = &**terms;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, Ending::None);
@@ -158,7 +132,7 @@ impl<'r, 's> Episode<'r, 's> {
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
-        let mut after = |now: &Moment<'_>| {
+        let after = |now: &Moment<'_>| {
             of_last_step = earnings.of_step(now, config, departure.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
@@ -174,14 +148,7 @@ impl<'r, 's> Episode<'r, 's> {
             };
             if ending == Ending::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        let was_foreseen = foreseen.is_some_and(|(abreast, place)| {
-            stepper.drive_abreast(abreast, place, |now| {
-                let _ = after(now);
-            })
-        });
-        if !was_foreseen {
-            stepper.drive(EGO, config.decision_steps as usize, command, after);
-        }
+        stepper.drive(EGO, config.decision_steps as usize, command, after);
         self.undiscounted += reward;
         let mut to_learn = reward;
         if ending == Ending::AtRest {
@@ -245,10 +212,8 @@ mod tests {
     use super::*;
     use crate::rl::TrainingConfig;
     use crumple_world::control::ControllerSpec;
-    use crumple_world::observation::EstimatorKind;
-    use crumple_world::scenario::space::built_in_space;
     use crumple_world::scenario::{Driver, LeadProfile, built_in};
-    use crumple_world::sim::{ABREAST, RunOptions};
+    use crumple_world::sim::RunOptions;
 
     /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
     fn drive(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
@@ -279,50 +244,6 @@ mod tests {
         let left = 150.0 - all.len() as f64;
         let credit = f64::from(drive(&end, action as f32).1.last().unwrap().reward);
         assert!((credit - (1.0 - 0.99_f64.powf(left + 1.0)) / 0.01).abs() < 1.0, "{credit}");
-    }
-
-    /// What many episodes earn and see side by side is what each does alone: for nothing but contacts, and where driving costs.
-    #[test]
-    fn episodes_side_by_side_are_episodes_alone() {
-        let space = built_in_space("paper").unwrap();
-        let scenarios: Vec<_> = (0..20).map(|index| space.draw(4, index).unwrap()).collect();
-        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
-        let options = options.with_estimator(EstimatorKind::Truth);
-        let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
-        let costs = TrainingConfig::preset("road").unwrap().environment.costs;
-        assert!(!costs.is_free());
-        for (config, is_foreseen) in [
-            (config(), true),
-            (EnvironmentConfig { costs, ..config() }, true),
-            (TrainingConfig::preset("road").unwrap().environment, false),
-        ] {
-            let terms = Terms::new(config.clone(), 0.99);
-            let begin = || runs.iter().map(|run| Episode::new(run, &terms)).collect::<Vec<_>>();
-            let (mut alone, mut beside) = (begin(), begin());
-            let mut abreast = Abreast::new(config.decision_steps as usize);
-            let (mut foreseen, mut over) = (0, vec![false; runs.len()]);
-            for decision in 0..150 {
-                let action = |run: usize| ((run * 31 + decision / 4 * 17) % 41) as f32 / 20.0 - 1.0;
-                for from in (0..runs.len()).step_by(ABREAST) {
-                    let group: Vec<_> = (from..runs.len().min(from + ABREAST)).filter(|&run| !over[run]).collect();
-                    abreast.clear();
-                    let places: Vec<_> =
-                        group.iter().map(|&run| beside[run].foresee(action(run), &mut abreast)).collect();
-                    abreast.run();
-                    for (run, place) in group.into_iter().zip(places) {
-                        let led_to = match place {
-                            Some(place) => beside[run].decide_as_foreseen(&mut abreast, place),
-                            None => beside[run].decide(action(run)),
-                        };
-                        foreseen += usize::from(place.is_some());
-                        assert_eq!(led_to, alone[run].decide(action(run)));
-                        over[run] = led_to.ending != Ending::None;
-                    }
-                }
-            }
-            assert!(over.iter().all(|over| *over));
-            assert_eq!(foreseen > 0, is_foreseen);
-        }
     }
 
     #[test]

@@ -31,18 +31,11 @@ impl BuiltIn for Baseline {
     }
 }
 
-impl Baseline {
-    #[inline]
-    pub(super) fn wanted_mps2(&mut self, seen: &Observation) -> f64 {
-        self.braking |= self.aeb.demands_braking(seen);
-        if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 }
-    }
-}
-
 impl Controller for Baseline {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.wanted_mps2(seen))
+        self.braking |= self.aeb.demands_braking(seen);
+        Ok(if self.braking { -self.aeb.max_brake_mps2 } else { 0.0 })
     }
 }
 

@@ -124,46 +124,6 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-/// What traffic drives by where nothing else is said, and the paper's follower: rules that remember next to nothing, so that whoever
-/// looks ahead can take them along.
-#[derive(Debug, Clone)]
-pub(crate) enum SimpleRule {
-    Baseline(Baseline),
-    Idm(Idm),
-}
-
-impl SimpleRule {
-    /// As [`Controller::decide`], which of these none fails.
-    #[inline(always)]
-    pub(crate) fn wanted_mps2(&mut self, seen: &Observation) -> f64 {
-        match self {
-            Self::Baseline(rule) => rule.wanted_mps2(seen),
-            Self::Idm(rule) => rule.wanted_mps2(seen),
-        }
-    }
-
-    /// Lets the controller that it was taken out of go on from here.
-    #[inline]
-    pub(crate) fn hand_over(&self, controller: &mut AnyController) {
-        // The other one remembers nothing.
-        if let (Self::Baseline(rule), AnyController::Baseline(own)) = (self, controller) {
-            own.clone_from(rule);
-        }
-    }
-}
-
-impl AnyController {
-    /// One that decides as this one will, if it remembers next to nothing.
-    #[inline]
-    pub(crate) fn simple_rule(&self) -> Option<SimpleRule> {
-        match self {
-            Self::Baseline(rule) => Some(SimpleRule::Baseline(rule.clone())),
-            Self::Idm(rule) => Some(SimpleRule::Idm(*rule)),
-            _ => None,
-        }
-    }
-}
-
 /// Why words name no built-in controller.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]

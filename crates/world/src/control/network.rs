@@ -1,5 +1,6 @@
 //! A network from outside at the wheel.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::fit;
@@ -22,6 +23,8 @@ pub struct NetworkController {
     identity: String,
     /// Whether its inputs are said to hold the normalisation of its training: a statement, which changes nothing of how it drives.
     normalised: Option<bool>,
+    /// File that states the mapping, for messages.
+    file_path: Option<PathBuf>,
 }
 
 impl NetworkController {
@@ -58,7 +61,7 @@ impl NetworkController {
         }
         let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
         let identity = sha256(format!("network {} {written}", file.sha256));
-        Ok(Self { file, mapping, identity, normalised: None })
+        Ok(Self { file, mapping, identity, normalised: None, file_path: None })
     }
 
     /// A network that sees and answers what crumple's own policies do.
@@ -89,6 +92,18 @@ impl NetworkController {
             Ok(ranges) if ranges.iter().all(|[low, high]| *low >= -1.0 && *high <= 1.0) => Ok(controller),
             _ => refused("nothing in it keeps its answer from -1 to 1, as tanh or a clip would".to_owned()),
         }
+    }
+
+    /// Records the file that states the mapping.
+    #[must_use]
+    pub fn with_file_path(self, path: &Path) -> Self {
+        Self { file_path: Some(path.to_owned()), ..self }
+    }
+
+    /// Returns the file that states the mapping, if it came from one.
+    #[must_use]
+    pub fn file_path(&self) -> Option<&Path> {
+        self.file_path.as_deref()
     }
 
     /// Says whether the inputs hold the normalisation behind which it was trained (`normalised` of a controller file).

@@ -94,22 +94,17 @@ impl Held {
         self.departed.abs()
     }
 
-    /// The acceleration of every step until the action changes, in m/s²; none where that depends on what is seen.
-    #[must_use]
-    #[inline]
-    pub fn throughout_mps2(&self, ActionBounds { low_mps2, high_mps2, departs_from }: &ActionBounds) -> Option<f64> {
-        let mean_mps2 = 0.5 * (low_mps2 + high_mps2);
-        departs_from.is_none().then(|| mean_mps2 + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action))
-    }
-
     /// The acceleration of the next step, in m/s²: linear in the action between the bounds, or between each of them and the law
     /// that it departs from, which follows what is seen.
     #[inline]
     pub fn acceleration_mps2(&mut self, bounds: &ActionBounds, seen: &Observation, step_s: f64) -> f64 {
-        let Some(departure) = &bounds.departs_from else { return self.throughout_mps2(bounds).unwrap_or_default() };
+        let ActionBounds { low_mps2, high_mps2, departs_from } = bounds;
+        let Some(departure) = departs_from else {
+            return 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
+        };
         let most = departure.rate_per_s * step_s;
         self.departed += (departure.wanted(f64::from(self.action)) - self.departed).max(-most).min(most);
-        departure.acceleration_mps2(self.departed, seen, [bounds.low_mps2, bounds.high_mps2])
+        departure.acceleration_mps2(self.departed, seen, [*low_mps2, *high_mps2])
     }
 }
 

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NamedBy, NetworkController, Output, ProcessController,
-    ProcessSetup, StartPermission, StartRefused, Wiring,
+    ControllerKind, FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NamedBy, NetworkController, Output,
+    ProcessController, ProcessSetup, StartPermission, StartRefused, Wiring,
 };
 use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
 use crate::policy::{Policy, PolicyError};
@@ -137,44 +137,21 @@ pub enum ControllerFileError {
     },
 }
 
-/// A controller that was read from a file.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub enum FileController {
-    /// A policy of crumple's own.
-    Policy(Arc<Policy>),
-    /// A network from outside.
-    Network(Arc<NetworkController>),
-    /// A process.
-    Process(Arc<ProcessController>),
-}
-
-impl FileController {
-    /// Reads a controller, and starts nothing. `named_by` says who named the file: runs of a process or an FMU start it. A name that ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in
-    /// `.toml` a controller file, and any other file a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
-    ///
-    /// # Errors
-    /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
-    pub fn load(path: &Path, named_by: NamedBy) -> Result<Self, ControllerFileError> {
-        if path.extension().is_some_and(|extension| extension == "toml") {
-            load(path, named_by)
-        } else if path.extension().is_some_and(|extension| extension == "fmu") {
-            load_fmu(path, named_by)
-        } else if NetworkFile::is_one(path) {
-            load_network(path).map(Self::Network)
-        } else {
-            Ok(Self::Policy(Arc::new(Policy::load(path)?)))
-        }
-    }
-
-    /// SHA-256, in hexadecimal, of everything that decides how it drives; none for a process of which that is not known.
-    #[must_use]
-    pub fn identity(&self) -> Option<String> {
-        match self {
-            Self::Policy(policy) => Some(policy.digest()),
-            Self::Network(network) => Some(network.identity().to_owned()),
-            Self::Process(process) => process.identity().map(str::to_owned),
-        }
+/// Reads a controller, and starts nothing. `named_by` says who named the file: runs of a process or an FMU start it. A name that
+/// ends in `.onnx` is a network, in `.zip` a model of Stable-Baselines3, in `.fmu` an FMU, in `.toml` a controller file. Any other
+/// file is a policy, or a model of Stable-Baselines3 if it begins as a zip archive.
+///
+/// # Errors
+/// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
+pub fn load(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
+    if path.extension().is_some_and(|extension| extension == "toml") {
+        load_controller_file(path, named_by)
+    } else if path.extension().is_some_and(|extension| extension == "fmu") {
+        load_fmu(path, named_by)
+    } else if NetworkFile::is_one(path) {
+        load_network(path)
+    } else {
+        Ok(Arc::new(Policy::load(path)?).into())
     }
 }
 
@@ -214,7 +191,7 @@ pub(crate) fn is_ordinary(path: &Path) -> bool {
 }
 
 /// A network in a file of its own, which sees and answers what crumple's own policies do.
-fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileError> {
+fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
     if let Some(reason) = normalised_by(&file, path) {
@@ -224,7 +201,7 @@ fn load_network(path: &Path) -> Result<Arc<NetworkController>, ControllerFileErr
         .map_err(|invalid| ControllerFileError::NeedsMapping { path: shown(), invalid })?;
     // Where the statistics beside it say that they left observations alone, a copy elsewhere still has to say so.
     let is_behind = controller.file().saved_model().is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind);
-    Ok(Arc::new(controller.with_normalised(is_behind.then_some(false))))
+    Ok(Arc::new(controller.with_normalised(is_behind.then_some(false)).with_file_path(path)).into())
 }
 
 /// Whether the inputs hold what the statistics beside a model say.
@@ -270,14 +247,10 @@ fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
 }
 
 /// The controller of a controller file.
-fn load(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFileError> {
+fn load_controller_file(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
-    let wrong = |InvalidMapping { field, problem }| FileError::Syntax {
-        path: path.to_owned(),
-        line: line_in_toml(&text, &field),
-        message: format!("{field}: {problem}"),
-    };
+    let wrong = |InvalidMapping { field, problem }| FileError::of_field(path, &text, &field, problem);
     if file.version != CONTROLLER_FILE_VERSION {
         let problem =
             format!("version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}", file.version);
@@ -305,7 +278,7 @@ fn load(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFile
                 return Err(wrong(InvalidMapping::new("normalised", problem)).into());
             }
             let controller = NetworkController::new(network, mapping).map_err(wrong)?;
-            Ok(FileController::Network(Arc::new(controller.with_normalised(normalised))))
+            Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
         }
         Drives::Fmu(name) => {
             let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
@@ -320,21 +293,23 @@ fn load(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFile
                 answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
                 ..plain
             };
-            started(setup, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
+            started(setup, path, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
         }
         Drives::Command(command) => {
-            started(file.process(command, &folder), permission("command")?).map_err(|invalid| wrong(invalid).into())
+            let setup = file.process(command, &folder);
+            started(setup, path, permission("command")?).map_err(|invalid| wrong(invalid).into())
         }
     }
 }
 
-/// A process that is set up.
-fn started(setup: ProcessSetup, permission: StartPermission) -> Result<FileController, InvalidMapping> {
-    Ok(FileController::Process(Arc::new(ProcessController::new(setup, permission)?)))
+/// Returns the process that the file at `path` sets up.
+fn started(setup: ProcessSetup, path: &Path, permission: StartPermission) -> Result<ControllerKind, InvalidMapping> {
+    let setup = ProcessSetup { file: Some(path.to_owned()), ..setup };
+    Ok(Arc::new(ProcessController::new(setup, permission)?).into())
 }
 
 /// An FMU in a file of its own: its inputs are called like what can be seen.
-fn load_fmu(path: &Path, named_by: NamedBy) -> Result<FileController, ControllerFileError> {
+fn load_fmu(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let setup = ProcessSetup::of_fmu(&path.with_file_name(""), &name, Wiring::default());
     let failed = |problem| match problem {
@@ -343,7 +318,7 @@ fn load_fmu(path: &Path, named_by: NamedBy) -> Result<FileController, Controller
     };
     let setup = setup.map_err(failed)?;
     let permission = named_by.permission(|| path.display().to_string())?;
-    started(setup, permission).map_err(|invalid| failed(invalid.into()))
+    started(setup, path, permission).map_err(|invalid| failed(invalid.into()))
 }
 
 /// What a controller file says drives.

@@ -4,10 +4,10 @@ use std::path::{self, Path};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::controller_file::{ControllerFileError, FileController, is_ordinary};
+use super::controller_file::{self, ControllerFileError, is_ordinary};
 use super::invalid::Problem;
 use super::profile::LeadProfile;
-use crate::control::{self, BuiltIn, ControllerSpec, NamedBy, with_controllers};
+use crate::control::{self, BuiltIn, ControllerKind, ControllerSpec, NamedBy, with_controllers};
 
 /// Who decides a vehicle's acceleration.
 ///
@@ -29,7 +29,7 @@ pub enum Driver {
 #[derive(Debug, Clone)]
 pub struct FileDriver {
     form: FileForm,
-    controller: Option<FileController>,
+    controller: Option<ControllerKind>,
 }
 
 /// As a scenario file states it.
@@ -54,7 +54,7 @@ impl PartialEq for FileDriver {
 impl FileDriver {
     /// The controller, once it was read.
     #[must_use]
-    pub fn controller(&self) -> Option<&FileController> {
+    pub fn controller(&self) -> Option<&ControllerKind> {
         self.controller.as_ref()
     }
 
@@ -72,7 +72,7 @@ impl FileDriver {
         if !is_ordinary(&path) {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller = FileController::load(&path, NamedBy::File).map_err(|error| match error {
+        let controller = controller_file::load(&path, NamedBy::File).map_err(|error| match error {
             ControllerFileError::StartRefused(refused) => refused.into(),
             other => unusable(other.to_string()),
         })?;

@@ -1,5 +1,6 @@
 //! Scenario files: TOML or JSON, told apart by their extension, with errors that name file, line and field.
 
+use std::fmt;
 use std::fs::{self, File};
 use std::io::{self, Read as _};
 use std::ops::Range;
@@ -51,6 +52,11 @@ pub enum FileError {
 }
 
 impl FileError {
+    /// Returns the error that `field` of the TOML text of a file is wrong.
+    pub(crate) fn of_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
+        Self::Syntax { path: path.to_owned(), line: line_in_toml(text, field), message: format!("{field}: {problem}") }
+    }
+
     /// Returns true if the only fault of the file is that it names a program, which crumple may not start.
     #[must_use]
     pub fn is_start_refused(&self) -> bool {

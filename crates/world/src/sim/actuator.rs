@@ -106,22 +106,13 @@ impl Disturbance {
         self.deviation_mps2 * self.normals.next(&mut self.stream)
     }
 
-    /// The numbers of the next steps, as many as there are places for them.
-    #[inline]
-    pub(super) fn next_into<'a>(&mut self, places: impl Iterator<Item = &'a mut f64>) {
-        // A copy, which stays in registers.
-        let mut stream = self.stream.clone();
-        for next_mps2 in places {
-            *next_mps2 = self.deviation_mps2 * self.normals.next(&mut stream);
-        }
-        self.stream = stream;
-    }
-
     /// The numbers of the next steps.
     #[inline]
     pub(super) fn next_some_mps2<const N: usize>(&mut self) -> [f64; N] {
-        let mut some_mps2 = [0.0; N];
-        self.next_into(some_mps2.iter_mut());
+        // A copy, which stays in registers.
+        let mut stream = self.stream.clone();
+        let some_mps2 = std::array::from_fn(|_| self.deviation_mps2 * self.normals.next(&mut stream));
+        self.stream = stream;
         some_mps2
     }
 }

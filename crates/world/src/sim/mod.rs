@@ -1,7 +1,6 @@
 //! How it happens: exact motion, contact by root finding, and two engines with one meaning.
 
 mod actuator;
-mod kind;
 mod lane;
 mod lockstep;
 mod motion;
@@ -15,16 +14,17 @@ mod shielding;
 mod stepper;
 mod trace;
 
-pub use kind::ControllerKind;
 pub(crate) use lane::SAME_INSTANT_S;
 pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m, first_contact};
-pub use named::{FieldPlace, NamedController, RefusedController, UnknownController};
+pub use named::{NamedController, RefusedController, UnknownController};
 pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, Unanswered, VehicleSummary};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
 pub use run::{Run, RunError, RunOptions};
 pub use scalar::simulate;
-pub use shielding::{Intervention, ShieldRefusal, Shielded};
-pub use stepper::{ABREAST, Abreast, Moment, Place, Stepper};
+pub use shielding::{Intervention, ShieldRefusal};
+pub use stepper::{Moment, Stepper};
 pub use trace::{Pair, Trace, Track};
+
+pub use crate::control::{ControllerKind, Shielded};

@@ -1,17 +1,16 @@
 //! What can be put under test, by name.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
-use super::{ControllerKind, Shielded};
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
-    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, StartRefused,
+    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
+    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, Shielded, StartRefused,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
-use crate::scenario::controller_file::{ControllerFileError, FileController, is_ordinary};
+use crate::scenario::controller_file::{self, ControllerFileError, is_ordinary};
 use crate::scenario::file::{MOST_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller to put under test, and what it is called.
@@ -37,23 +36,6 @@ const MOST_SHIELDS: usize = 8;
 
 /// What stands before a command.
 const EXEC: &str = "exec:";
-
-/// Where a file of a controller says something, to stand before what is wrong with it: `acc.toml:12: `.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FieldPlace {
-    path: PathBuf,
-    /// None of a file that is no controller file, or cannot be read any more.
-    line: Option<usize>,
-}
-
-impl fmt::Display for FieldPlace {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.line {
-            Some(line) => write!(out, "{}:{line}: ", self.path.display()),
-            None => write!(out, "{}: ", self.path.display()),
-        }
-    }
-}
 
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
@@ -161,7 +143,7 @@ impl NamedController {
     }
 
     /// Finds the controller that a file names: a built-in one, or the one in another file; a relative path starts at `folder`
-    /// ([`FileController::load`]). For names that the user gives there is [`Self::find_for_user`].
+    /// ([`controller_file::load`]). For names that the user gives there is [`Self::find_for_user`].
     ///
     /// A built-in name may be followed by settings (`acc-aeb,ttc_s=2.0`, see [`ControllerSpec::parse`]).
     ///
@@ -202,47 +184,35 @@ impl NamedController {
     /// As [`Self::find_for_user`], and [`UnknownController::NotStarted`].
     pub fn find_and_try(name: &str, folder: &Path) -> Result<Self, UnknownController> {
         let found = Self::find_for_user(name, folder)?;
-        found.try_start(folder)?;
+        found.try_start()?;
         Ok(found)
     }
 
-    /// The trial alone, of one whose name starts at `folder`.
+    /// Starts its program once as a trial.
     ///
     /// # Errors
     /// [`UnknownController::NotStarted`].
-    pub fn try_start(&self, folder: &Path) -> Result<(), UnknownController> {
-        let not_started = |failure| UnknownController::NotStarted { place: self.said_at(folder), failure };
-        self.kind.try_start().map_err(not_started)
+    pub fn try_start(&self) -> Result<(), UnknownController> {
+        let field = match self.kind.unshielded() {
+            ControllerKind::Process(process) if process.setup().program.is_some() => "fmu",
+            _ => "command",
+        };
+        let place = || match self.kind.file().is_some_and(is_toml) {
+            true => format!("{}{field}: ", self.place_of(field)),
+            false => self.place_of(field),
+        };
+        self.kind.try_start().map_err(|failure| UnknownController::NotStarted { place: place(), failure })
     }
 
-    /// Where it says what is to be started, to stand before what is wrong with that; nothing for a command by itself.
-    fn said_at(&self, folder: &Path) -> String {
-        let mut kind = &self.kind;
-        while let ControllerKind::Shielded(shielded) = kind {
-            kind = &shielded.controller;
-        }
-        let is_fmu = matches!(kind, ControllerKind::Process(process) if process.setup().program.is_some());
-        let field = if is_fmu { "fmu" } else { "command" };
-        match self.place_of(field, folder) {
-            None => String::new(),
-            // Only a controller file says fields.
-            Some(place @ FieldPlace { line: None, .. }) => place.to_string(),
-            Some(place) => format!("{place}{field}: "),
-        }
-    }
-
-    /// Where a field of its file is, of a controller whose name starts at `folder`; none of a command by itself, which has no file.
+    /// Returns file and line of a field, as a prefix of a message (`acc.toml:12: `); empty without a file that states a mapping or
+    /// a command.
     #[must_use]
-    pub fn place_of(&self, field: &str, folder: &Path) -> Option<FieldPlace> {
-        let inner = without_shields(&self.name);
-        if inner.starts_with(EXEC) {
-            return None;
+    pub fn place_of(&self, field: &str) -> String {
+        let Some(path) = self.kind.file() else { return String::new() };
+        match read_at_most(path, MOST_TOML_BYTES) {
+            Ok(text) if is_toml(path) => format!("{}:{}: ", path.display(), line_in_toml(&text, field)),
+            _ => format!("{}: ", path.display()),
         }
-        let path = folder.join(inner);
-        let is_controller_file = path.extension().is_some_and(|extension| extension == "toml");
-        let text = is_controller_file.then(|| read_at_most(&path, MOST_TOML_BYTES).ok()).flatten();
-        let line = text.map(|text| line_in_toml(&text, field));
-        Some(FieldPlace { path, line })
     }
 
     /// Whether its runs so far say something of it: to be asked before anything that was found is told.
@@ -292,7 +262,7 @@ impl NamedController {
             let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
             return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
         }
-        Ok(Self { name: name.to_owned(), kind: FileController::load(&place, named_by)?.into() })
+        Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
     }
 
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
@@ -313,6 +283,11 @@ impl NamedController {
     pub fn policy(&self) -> Option<Arc<Policy>> {
         self.kind.policy()
     }
+}
+
+/// Returns true for a controller file, the only kind of file with fields.
+fn is_toml(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "toml")
 }
 
 /// Returns the name of the controller behind all shields.

@@ -4,18 +4,16 @@ use std::sync::{Arc, OnceLock};
 
 use super::AfterContact;
 use super::actuator::{Actuator, Disturbance};
-use super::kind::ControllerKind;
 use super::lane::{Bodies, Lane};
 use super::motion::Motion;
 use super::platoon::Platoon;
 use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, ControllerFailure, Ego, Frame, Needs, NetworkDriver, PolicyDriver, ProcessDriver, Shield,
-    ZeroOrderHold,
+    AnyController, ControllerFailure, ControllerKind, Ego, Frame, Needs, NetworkDriver, PolicyDriver, ProcessDriver,
+    Shield, ZeroOrderHold,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
-use crate::scenario::controller_file::FileController;
 use crate::scenario::{Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// How to run a scenario.
@@ -142,6 +140,8 @@ pub struct Run<'s> {
     scenario: &'s Scenario,
     options: RunOptions,
     substeps: usize,
+    /// Integration step, in seconds.
+    dt_s: f64,
     /// Made when the first vehicle needs it: most runs with the true state never do.
     tuning: OnceLock<EgoTuning>,
     /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
@@ -159,7 +159,8 @@ impl<'s> Run<'s> {
             None => 1,
             Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
         };
-        let mut run = Self { scenario, options, substeps, tuning: OnceLock::new(), frames: Vec::new() };
+        let dt_s = step_s / substeps as f64;
+        let mut run = Self { scenario, options, substeps, dt_s, tuning: OnceLock::new(), frames: Vec::new() };
         let found = run.vehicle_samples();
         if found > MOST_VEHICLE_STEPS {
             return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
@@ -171,7 +172,7 @@ impl<'s> Run<'s> {
                 Driver::Profile(_) => continue,
                 Driver::Controller(spec) => &ControllerKind::BuiltIn(spec.clone()),
                 Driver::File(file) => match file.controller() {
-                    Some(controller) => &controller.clone().into(),
+                    Some(controller) => controller,
                     None => continue,
                 },
                 Driver::UnderTest => &run.options.controller,
@@ -213,7 +214,7 @@ impl<'s> Run<'s> {
     /// The integration step, in seconds.
     #[must_use]
     pub fn dt_s(&self) -> f64 {
-        self.scenario.spec().step_s / self.substeps as f64
+        self.dt_s
     }
 
     /// Integration steps times vehicles.
@@ -259,10 +260,9 @@ impl<'s> Run<'s> {
     pub(super) fn steps_together(&self) -> bool {
         self.scenario.vehicles().iter().enumerate().all(|(index, vehicle)| match &vehicle.driver {
             Driver::Profile(_) | Driver::Controller(_) => true,
-            Driver::File(file) => match file.controller() {
-                Some(FileController::Process(process)) => process.takes_batches(&self.ego(index)),
-                _ => true,
-            },
+            Driver::File(file) => {
+                file.controller().is_none_or(|controller| controller.steps_together(|| self.ego(index)))
+            }
             Driver::UnderTest => self.options.controller.steps_together(|| self.ego(index)),
         })
     }
@@ -275,7 +275,7 @@ impl<'s> Run<'s> {
                 ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index), self.scenario.spec().seed))
             }
             Driver::File(file) => ActiveDriver::Controller(match file.controller() {
-                Some(controller) => self.started(index, &controller.clone().into()),
+                Some(controller) => self.started(index, controller),
                 None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),
             }),
             Driver::UnderTest => ActiveDriver::Controller(self.started(index, &self.options.controller)),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{ControllerKind, Run};
+use super::Run;
 use crate::control::{
     AnyController, Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, ShieldSettings, Travel,
 };
@@ -11,15 +11,6 @@ use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield counts on: exceeded once in 10⁹ draws.
 const DEVIATIONS: f64 = 6.0;
-
-/// A controller behind a shield.
-#[derive(Clone)]
-pub struct Shielded {
-    /// What drives as long as the shield lets it.
-    pub controller: ControllerKind,
-    /// What the user set.
-    pub settings: ShieldSettings,
-}
 
 /// Why a shield cannot vouch for a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

@@ -52,6 +52,8 @@ pub struct ProcessSetup {
     pub program: Option<PathBuf>,
     /// The folder that it runs in.
     pub folder: PathBuf,
+    /// Controller file or FMU that states the command, for messages; none for a command by itself.
+    pub file: Option<PathBuf>,
     /// The files, from `folder`, that decide how it drives; none if that is not known.
     pub files: Vec<String>,
     /// Whether the same observations always lead to the same answers, as far as is known before it is asked.
@@ -72,6 +74,7 @@ impl ProcessSetup {
             command,
             program: None,
             folder: folder.to_owned(),
+            file: None,
             files: Vec::new(),
             deterministic: true,
             mapping: Mapping::plain(),

@@ -8,7 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordingError;
-use crate::scenario::file::{FileError, line_in_toml, parse_toml, read_at_most};
+use crate::scenario::file::{FileError, parse_toml, read_at_most};
 
 pub use units::{LengthUnit, SpeedUnit, TimeUnit};
 
@@ -309,11 +309,7 @@ impl RecordingMap {
     /// [`FileError`] for text that is no valid map.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
         let spec: MapSpec = parse_toml(text, path)?;
-        check(&spec).map_err(|(field, problem)| FileError::Syntax {
-            path: path.to_owned(),
-            line: line_in_toml(text, &field),
-            message: format!("{field}: {problem}"),
-        })?;
+        check(&spec).map_err(|(field, problem)| FileError::of_field(path, text, &field, problem))?;
         Ok(Self { spec })
     }
 

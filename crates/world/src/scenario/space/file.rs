@@ -21,14 +21,13 @@ pub fn load(path: &Path) -> Result<Space, FileError> {
 pub fn from_toml(text: &str, path: &Path) -> Result<Space, FileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    Space::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| {
-        let (path, line) = (path.to_owned(), line_in_toml(text, &field));
-        match start_refused {
-            Some(refused) => {
-                FileError::Invalid { path, line, invalid: InvalidField { field, problem: refused.into() } }
-            }
-            None => FileError::Syntax { path, line, message: format!("{field}: {problem}") },
+    Space::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| match start_refused {
+        Some(refused) => {
+            let line = line_in_toml(text, &field);
+            let invalid = InvalidField { field, problem: refused.into() };
+            FileError::Invalid { path: path.to_owned(), line, invalid }
         }
+        None => FileError::of_field(path, text, &field, problem),
     })
 }
 

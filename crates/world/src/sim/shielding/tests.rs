@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use super::*;
-use crate::control::ControllerSpec;
+use crate::control::{ControllerKind, ControllerSpec, Shielded};
 use crate::observation::EstimatorKind;
 use crate::scenario::{Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in};
 use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, Simulated, simulate};
