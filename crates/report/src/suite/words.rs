@@ -1,8 +1,6 @@
 //! What a run of a suite found, in words.
 
-use crumple_search::suite::{
-    Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Tested, Within,
-};
+use crumple_search::suite::{Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Tested, Within};
 
 /// A verdict in words.
 pub(crate) fn verdict(verdict: &TestVerdict) -> String {
@@ -20,7 +18,10 @@ pub(crate) fn verdict(verdict: &TestVerdict) -> String {
 pub(super) fn headline(tested: &Tested) -> String {
     match &tested.within {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
-            format!("FAILED within the ranges of the clause, though every stated point passes: {}", verdict(&within.verdict))
+            format!(
+                "FAILED within the ranges of the clause, though every stated point passes: {}",
+                verdict(&within.verdict)
+            )
         }
         _ => verdict(&tested.verdict),
     }

@@ -46,7 +46,9 @@ pub enum SyntaxProblem {
         found: String,
     },
     /// A sum where a formula is needed.
-    #[error("this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}")]
+    #[error(
+        "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}"
+    )]
     SumNotFormula,
     /// A formula where a sum is needed.
     #[error("this is a formula, and a sum of signals is needed")]
