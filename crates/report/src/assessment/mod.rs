@@ -9,6 +9,7 @@ mod case;
 mod claims;
 mod commands;
 mod config;
+mod document;
 mod gate;
 mod junit;
 mod page;
@@ -38,6 +39,7 @@ pub use claims::{
 };
 pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
+pub use document::Document;
 pub use gate::{Gate, GateResult};
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
@@ -122,10 +124,25 @@ pub struct Assessment {
 pub trait Part {
     /// Anchor of the part in the page, and its heading.
     fn heading(&self) -> (&'static str, String);
-    /// The part as HTML, without its heading.
-    fn html(&self) -> Markup;
-    /// The part as Markdown, without its heading.
-    fn markdown(&self) -> Markdown;
+    /// Writes the part, without its heading.
+    fn write(&self, out: &mut Document);
+
+    /// Returns the part as HTML, without its heading.
+    fn html(&self) -> Markup {
+        self.document().into_html()
+    }
+
+    /// Returns the part as Markdown, without its heading.
+    fn markdown(&self) -> Markdown {
+        self.document().into_markdown()
+    }
+
+    #[doc(hidden)]
+    fn document(&self) -> Document {
+        let mut document = Document::default();
+        self.write(&mut document);
+        document
+    }
 }
 
 /// Why an assessment could not be made.

@@ -51,7 +51,20 @@ impl Mark {
     }
 }
 
+/// A column of a table: its heading, and its cell in the row of an item.
+type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
+
 impl Cell {
+    /// A number, or a dash.
+    pub(super) fn optional(number: Option<impl ToString>) -> Self {
+        Self::number(number.map_or_else(|| "–".to_owned(), |number| number.to_string()))
+    }
+
+    /// The beginning of a digest.
+    pub(super) fn digest(sha256: &str) -> Self {
+        Self::text(format!("{}…", sha256.get(..16).unwrap_or_default()))
+    }
+
     pub(super) fn text(text: impl ToString) -> Self {
         Self { text: text.to_string(), mark: Mark::None }
     }
@@ -72,6 +85,13 @@ impl Cell {
 impl Table {
     pub(super) fn new(header: &[&str]) -> Self {
         Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
+    }
+
+    /// Builds a table with a row for each item.
+    pub(super) fn of<T>(items: impl IntoIterator<Item = T>, columns: &[Column<'_, T>]) -> Self {
+        let mut table = Self::new(&columns.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+        items.into_iter().for_each(|item| table.row(columns.iter().map(|(_, cell)| cell(&item)).collect()));
+        table
     }
 
     pub(super) fn row(&mut self, cells: Vec<Cell>) {

@@ -1,12 +1,13 @@
 //! The first page: what was asked, what the answer is, and what to look at first.
 
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
 use super::certified::seeing;
 use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
 use crate::assessment::claims::{Claim, Domain, Property, Rule, Standing, Strength};
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part};
@@ -271,12 +272,11 @@ impl FirstPage {
     }
 
     fn gate_table(&self) -> Table {
-        let mut table = Table::new(&["gate", "result"]);
-        for gate in &self.gates {
-            let words = format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
-            table.row(vec![Cell::text(&gate.gate), Cell::judged(words, gate.holds)]);
-        }
-        table
+        let words = |gate: &GateResult| format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
+        Table::of(
+            &self.gates,
+            &[("gate", &|gate| Cell::text(&gate.gate)), ("result", &|gate| Cell::judged(words(gate), gate.holds))],
+        )
     }
 }
 
@@ -291,20 +291,24 @@ impl Part for FirstPage {
         ("answer", "The answer".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (FOR_WHOM) }
-            p { b { (prose(&self.question)) } }
-            p class=(self.answer.class()) { (prose(&self.words)) }
-            @if !self.gates.is_empty() {
-                h3 { "Gates" }
-                p { b { (self.gates_words()) } " " (GATES) }
-                (self.gate_table().html())
-            }
-            div.sides {
-                div { h3 { "Against it" } ul { @for line in &self.against { li { (prose(line)) } } @if self.against.is_empty() { li { "nothing that was found" } } } }
-                div { h3 { "For it" } ul { @for line in &self.speaks_for { li { (prose(line)) } } @if self.speaks_for.is_empty() { li { "nothing that was shown" } } } }
-            }
+    fn write(&self, out: &mut Document) {
+        out.paragraph(FOR_WHOM);
+        out.html(html! { p { b { (prose(&self.question)) } } p class=(self.answer.class()) { (prose(&self.words)) } });
+        out.markdown().paragraph(Inline::strong(&self.question));
+        out.markdown().paragraph(self.words.as_str());
+        if !self.gates.is_empty() {
+            out.html(html! { h3 { "Gates" } p { b { (self.gates_words()) } " " (GATES) } });
+            out.markdown().paragraph(format!("{} {GATES}", self.gates_words()));
+            out.table(&self.gate_table());
+        }
+        let sides = [
+            ("Against it", &self.against, "nothing that was found"),
+            ("For it", &self.speaks_for, "nothing that was shown"),
+        ];
+        out.html(html! {
+            div.sides { @for (title, lines, nothing) in sides {
+                div { h3 { (title) } ul { @for line in lines { li { (prose(line)) } } @if lines.is_empty() { li { (nothing) } } } }
+            } }
             @if let Some(sides) = &self.sides {
                 h3 { "Both sides of each controller" }
                 p { "What it avoids where something threatens, and what it does where nothing does: the nearer to the left, the better." }
@@ -318,24 +322,12 @@ impl Part for FirstPage {
             }
             h3 { "Taken for granted" }
             ul.short { @for line in &self.assumed { li { (line) } } }
+        });
+        for (title, lines, _) in sides {
+            out.markdown().paragraph(format!("{title}:"));
+            out.markdown().list(lines.iter().map(String::as_str));
         }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(FOR_WHOM);
-        text.paragraph(Inline::strong(&self.question));
-        text.paragraph(self.words.as_str());
-        if !self.gates.is_empty() {
-            text.paragraph(format!("{} {GATES}", self.gates_words()).as_str());
-            self.gate_table().markdown(&mut text);
-        }
-        text.paragraph("Against it:");
-        text.list(self.against.iter().map(String::as_str));
-        text.paragraph("For it:");
-        text.list(self.speaks_for.iter().map(String::as_str));
-        text.paragraph("Taken for granted:");
-        text.list(self.assumed.iter().copied());
-        text
+        out.markdown().paragraph("Taken for granted:");
+        out.markdown().list(self.assumed.iter().copied());
     }
 }

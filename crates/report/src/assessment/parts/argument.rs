@@ -8,11 +8,12 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::argument_figure;
 use super::certified::seeing;
 use super::{ClaimRow, Limits, Summary};
 use crate::assessment::claims::{Claim, Property, Standing, Strength};
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
+use crate::assessment::prose::prose;
 use crate::assessment::table::Mark;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::quoted::Terminal;
@@ -327,30 +328,25 @@ impl Part for Argument {
         ("argument", "Argument".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! { p { (INTRODUCTION) } figure.wide { (argument_figure::draw(self)) } }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(INTRODUCTION);
+    fn write(&self, out: &mut Document) {
+        out.paragraph(INTRODUCTION);
+        let mut entries = Vec::new();
         if let Some(top) = self.elements.first() {
-            let mut entries = Vec::new();
             self.outline(top, 0, &mut entries);
-            text.outline(entries);
         }
-        text
+        out.outline(entries);
     }
 }
 
 impl Argument {
-    fn outline(&self, element: &Element, depth: usize, entries: &mut Vec<(usize, Inline)>) {
+    fn outline(&self, element: &Element, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
         let sign = match (element.defeated, element.undeveloped) {
             (true, _) => "✗ ",
             (_, true) => "◇ ",
             _ => "",
         };
-        entries.push((depth, Inline::strong(&element.id).and(&format!(" {sign}{}", element.text))));
+        let words = format!(" {sign}{}", element.text);
+        entries.push((depth, Inline::strong(&element.id).and(&words), html! { b { (element.id) } (prose(&words)) }));
         let below = element.supported_by.iter().chain(&element.in_context_of).filter_map(|id| self.find(id));
         for next in below.chain(self.challenges_to(&element.id)) {
             self.outline(next, depth + 1, entries);

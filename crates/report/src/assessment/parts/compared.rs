@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{Claim, Strength};
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
@@ -398,17 +397,11 @@ impl Part for Comparison {
         ("changes", "Since the earlier assessment".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! { p { (self.words()) } @if !self.is_empty() { (self.table().html()) } }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(self.words());
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.words());
         if !self.is_empty() {
-            self.table().markdown(&mut text);
+            out.table(&self.table());
         }
-        text
     }
 }
 

@@ -1,15 +1,13 @@
 //! Draws of spaces: failure rates with exact bounds, and paired comparison.
 
-use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::exposed::{exposed, on_the_road};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::plan::NamedSpace;
-use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
@@ -451,32 +449,16 @@ impl Part for Distributions {
         (ANCHOR, "Failure rates".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            @for drawn in &self.spaces {
-                p { (prose(&drawn.introduction())) }
-                (drawn.table().html())
-                @for line in drawn.silent() { p { (prose(&line)) } }
-                @if let Some((words, table)) = on_the_road(drawn) {
-                    p { (prose(&words)) }
-                    (table.html())
-                }
-                figure { (drawn.figure()) }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
+    fn write(&self, out: &mut Document) {
         for drawn in &self.spaces {
-            text.paragraph(drawn.introduction());
-            drawn.table().markdown(&mut text);
-            drawn.silent().into_iter().for_each(|line| text.paragraph(line));
+            out.paragraph(&drawn.introduction());
+            out.table(&drawn.table());
+            drawn.silent().iter().for_each(|line| out.paragraph(line));
             if let Some((words, table)) = on_the_road(drawn) {
-                text.paragraph(words);
-                table.markdown(&mut text);
+                out.paragraph(&words);
+                out.table(&table);
             }
+            out.figure(drawn.figure());
         }
-        text
     }
 }

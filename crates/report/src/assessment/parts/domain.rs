@@ -1,10 +1,11 @@
 //! The spaces that scenarios are drawn from and searched in, in numbers.
 
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
 use super::Usefulness;
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part};
@@ -76,11 +77,14 @@ impl SpaceInNumbers {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&["what varies", "unit", "range and law"]);
-        for one in &self.parameters {
-            table.row(vec![Cell::text(&one.field), Cell::text(&one.unit), Cell::text(&one.law)]);
-        }
-        table
+        Table::of(
+            &self.parameters,
+            &[
+                ("what varies", &|one| Cell::text(&one.field)),
+                ("unit", &|one| Cell::text(&one.unit)),
+                ("range and law", &|one| Cell::text(&one.law)),
+            ],
+        )
     }
 
     fn words(&self) -> String {
@@ -102,24 +106,13 @@ impl Part for Domains {
         ("domain", "The domain in numbers".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (prose(INTRODUCTION)) }
-            @for space in &self.spaces {
-                h3 { "Space " (space.name) }
-                p { (prose(&space.words())) }
-                (space.table().html())
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(INTRODUCTION);
+    fn write(&self, out: &mut Document) {
+        out.paragraph(INTRODUCTION);
         for space in &self.spaces {
-            text.paragraph(Inline::strong(&format!("Space {}.", space.name)).and(&format!(" {}", space.words())));
-            space.table().markdown(&mut text);
+            out.html(html! { h3 { "Space " (space.name) } p { (prose(&space.words())) } });
+            let words = Inline::strong(&format!("Space {}.", space.name)).and(&format!(" {}", space.words()));
+            out.markdown().paragraph(words);
+            out.table(&space.table());
         }
-        text
     }
 }

@@ -48,32 +48,26 @@ pub(super) fn on_the_road(drawn: &Distribution) -> Option<(String, Table)> {
     if let Some(why) = &first.without_data {
         words += &format!(" The data's uncertainty is not stated: {why}.");
     }
-    let mut table = Table::new(&[
-        "controller",
-        "failures per hour",
-        "with data",
-        "failures per 1000 km",
-        "with data",
-        "deviation by count, data, runs",
-    ]);
     let interval = |figure: Figure| format!("{} – {}", nearest(figure.lower, 3), nearest(figure.upper, 3));
-    let shown = |figure: Figure| format!("{} ({})", nearest(figure.estimate, 3), interval(figure));
-    for (controller, rate) in rates {
-        let data = |of: fn(&WithData) -> Figure| rate.with_data.map_or("–".to_owned(), |data| interval(of(&data)));
-        let percent =
-            |variance: Option<f64>| variance.map_or("–".to_owned(), |v| format!("{:.0} %", 100.0 * v.sqrt()));
-        let parts = rate.with_data.map_or("–".to_owned(), |data| {
-            [Some(data.counting_variance), data.data_variance, data.sampling_variance].map(percent).join(", ")
-        });
-        table.row(vec![
-            Cell::text(controller),
-            Cell::number(shown(rate.fitted.per_hour)),
-            Cell::number(data(|data| data.figures.per_hour)),
-            Cell::number(shown(rate.fitted.per_1000_km)),
-            Cell::number(data(|data| data.figures.per_1000_km)),
-            Cell::number(parts),
-        ]);
-    }
+    let shown = |figure: Figure| Cell::number(format!("{} ({})", nearest(figure.estimate, 3), interval(figure)));
+    let data = |rate: &ExposedRate, of: fn(&WithData) -> Figure| {
+        Cell::optional(rate.with_data.map(|data| interval(of(&data))))
+    };
+    let percent = |variance: Option<f64>| variance.map_or("–".to_owned(), |v| format!("{:.0} %", 100.0 * v.sqrt()));
+    let parts = |data: WithData| {
+        [Some(data.counting_variance), data.data_variance, data.sampling_variance].map(percent).join(", ")
+    };
+    let table = Table::of(
+        rates,
+        &[
+            ("controller", &|(controller, _)| Cell::text(controller)),
+            ("failures per hour", &|(_, rate)| shown(rate.fitted.per_hour)),
+            ("with data", &|(_, rate)| data(rate, |data| data.figures.per_hour)),
+            ("failures per 1000 km", &|(_, rate)| shown(rate.fitted.per_1000_km)),
+            ("with data", &|(_, rate)| data(rate, |data| data.figures.per_1000_km)),
+            ("deviation by count, data, runs", &|(_, rate)| Cell::optional(rate.with_data.map(parts))),
+        ],
+    );
     Some((words, table))
 }
 

@@ -1,9 +1,7 @@
 //! The words of the report.
 
-use maud::{Markup, html};
-
 use crate::assessment::Part;
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 
 /// What the words of the report mean.
@@ -48,28 +46,15 @@ const WORDS: [(&str, &str); 23] = [
     ("undecided", "nobody's escape was found, and no proof that there is none"),
 ];
 
-impl Glossary {
-    fn table() -> Table {
-        let mut table = Table::new(&["word", "meaning"]);
-        for (word, meaning) in WORDS {
-            table.row(vec![Cell::text(word), Cell::text(meaning)]);
-        }
-        table
-    }
-}
-
 impl Part for Glossary {
     fn heading(&self) -> (&'static str, String) {
         ("glossary", "Glossary".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! { (Self::table().html()) }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        Self::table().markdown(&mut text);
-        text
+    fn write(&self, out: &mut Document) {
+        out.table(&Table::of(
+            WORDS,
+            &[("word", &|(word, _)| Cell::text(word)), ("meaning", &|(_, meaning)| Cell::text(meaning))],
+        ));
     }
 }

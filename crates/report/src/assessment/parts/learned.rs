@@ -1,12 +1,10 @@
 //! Learned policies: where they come from, and how they brake.
 
-use maud::{Markup, html};
 use serde::Serialize;
 
 use super::{PaperScenarios, ScenarioCases};
 use crate::assessment::case::Case;
-use crate::assessment::markdown::Markdown;
-use crate::assessment::rounded::or_dash;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, TaggedLine};
@@ -93,39 +91,29 @@ impl Learned {
     }
 
     fn origins(&self) -> Table {
-        let mut table = Table::new(&["policy", "trained by", "network", "SHA-256"]);
-        for policy in &self.policies {
-            let digest = policy.sha256.get(..16).unwrap_or_default();
-            table.row(vec![
-                Cell::text(&policy.name),
-                Cell::text(&policy.origin),
-                Cell::text(&policy.network),
-                Cell::text(format!("{digest}…")),
-            ]);
-        }
-        table
+        Table::of(
+            &self.policies,
+            &[
+                ("policy", &|policy| Cell::text(&policy.name)),
+                ("trained by", &|policy| Cell::text(&policy.origin)),
+                ("network", &|policy| Cell::text(&policy.network)),
+                ("SHA-256", &|policy| Cell::digest(&policy.sha256)),
+            ],
+        )
     }
 
     fn times(&self) -> Table {
-        let mut table = Table::new(&[
-            "scenario, controller",
-            "leader brakes (s)",
-            "ego brakes (s)",
-            "follower's AEB fires (s)",
-            "ego's peak brake in the second before (m/s²)",
-            "ego's peak acceleration after (m/s²)",
-        ]);
-        for braking in &self.braking {
-            table.row(vec![
-                Cell::text(format!("{}, {}", braking.scenario, braking.controller)),
-                Cell::number(or_dash(braking.leader_brakes_s)),
-                Cell::number(or_dash(braking.ego_brakes_s)),
-                Cell::number(or_dash(braking.follower_brakes_s)),
-                Cell::number(or_dash(braking.ego_brake_before_mps2)),
-                Cell::number(or_dash(braking.ego_acceleration_after_mps2)),
-            ]);
-        }
-        table
+        Table::of(
+            &self.braking,
+            &[
+                ("scenario, controller", &|one| Cell::text(format!("{}, {}", one.scenario, one.controller))),
+                ("leader brakes (s)", &|one| Cell::optional(one.leader_brakes_s)),
+                ("ego brakes (s)", &|one| Cell::optional(one.ego_brakes_s)),
+                ("follower's AEB fires (s)", &|one| Cell::optional(one.follower_brakes_s)),
+                ("ego's peak brake in the second before (m/s²)", &|one| Cell::optional(one.ego_brake_before_mps2)),
+                ("ego's peak acceleration after (m/s²)", &|one| Cell::optional(one.ego_acceleration_after_mps2)),
+            ],
+        )
     }
 }
 
@@ -224,29 +212,16 @@ impl Part for Learned {
         ("learned", "How the learned policy drives".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            (self.origins().html())
-            @if let Some(curve) = &self.learning_curve {
-                figure { (crate::figures::learning_curve(curve)) }
-                p { (in_words(curve)) }
-            }
-            p { (INTRODUCTION) }
-            (self.times().html())
-            @for (name, figure) in &self.figures {
-                details { summary { "accelerations: " (name) } (figure) }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        self.origins().markdown(&mut text);
+    fn write(&self, out: &mut Document) {
+        out.table(&self.origins());
         if let Some(curve) = &self.learning_curve {
-            text.paragraph(in_words(curve));
+            out.figure(crate::figures::learning_curve(curve));
+            out.paragraph(&in_words(curve));
         }
-        text.paragraph(INTRODUCTION);
-        self.times().markdown(&mut text);
-        text
+        out.paragraph(INTRODUCTION);
+        out.table(&self.times());
+        for (name, figure) in &self.figures {
+            out.folded(&format!("accelerations: {name}"), |out| out.html(figure));
+        }
     }
 }

@@ -1,10 +1,11 @@
 //! What the assessment does not show.
 
 use crumple_verify::Statement;
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
@@ -99,17 +100,11 @@ impl Part for Limits {
         ("limits", "What this does not show".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.list(
-            self.assumptions
-                .iter()
-                .map(|limit| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning))),
+    fn write(&self, out: &mut Document) {
+        out.html(
+            html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },
         );
-        text
+        let line = |limit: &Limit| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning));
+        out.markdown().list(self.assumptions.iter().map(line));
     }
 }

@@ -1,6 +1,5 @@
 //! Failure maps: which scenarios over two parameters each controller survives, and which no driver could.
 
-use maud::{Markup, html};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -9,7 +8,7 @@ use super::map_cell::{MapCell, MapRow};
 use super::map_grid::{Held, MapAxis, held, scenarios};
 use super::maps_figure;
 use crate::assessment::best::Best;
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part};
@@ -187,19 +186,10 @@ impl Part for FailureMaps {
         ("maps", "Failure maps".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (self.introduction()) }
-            figure { (maps_figure::responsive(self)) }
-            (self.table().html())
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(self.introduction());
-        self.table().markdown(&mut text);
-        text
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.introduction());
+        out.figure(maps_figure::responsive(self));
+        out.table(&self.table());
     }
 }
 

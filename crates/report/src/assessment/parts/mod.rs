@@ -2,7 +2,6 @@
 
 mod answer;
 mod argument;
-mod argument_figure;
 mod certified;
 mod compared;
 mod counted;

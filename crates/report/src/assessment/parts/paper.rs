@@ -1,6 +1,6 @@
 //! The paper's three scenarios.
 
-use maud::{Markup, html};
+use maud::html;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -8,7 +8,7 @@ use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{CertifiedBest, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
 use crate::draw::Svg;
@@ -115,37 +115,20 @@ impl Part for PaperScenarios {
         (ANCHOR, "The paper's scenarios".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (INTRODUCTION) }
-            p { (WHAT_REGRET_IS) }
-            p { (MEASURES) }
-            @for scenario in &self.scenarios {
-                h3 { (scenario.scenario) }
-                p { (scenario.about) }
-                @let (beside, others) = self.split(scenario);
-                figure { (scenario.figures_beside(&beside)) }
-                p.replay { @for case in &beside { (scenario.replay_words(case)) } }
-                @if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
-                    figure { (scenario.animation(first)) }
-                }
-                p { (scenario.best_words()) }
-                (scenario.tables())
-                @for case in others { (scenario.folded_figure(case)) }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        [INTRODUCTION, WHAT_REGRET_IS, MEASURES].into_iter().for_each(|words| text.paragraph(words));
+    fn write(&self, out: &mut Document) {
+        [INTRODUCTION, WHAT_REGRET_IS, MEASURES].iter().for_each(|words| out.paragraph(words));
         for scenario in &self.scenarios {
-            text.heading(3, &scenario.scenario);
-            text.paragraph(scenario.about.as_str());
-            text.paragraph(scenario.best_words());
-            scenario.table().markdown(&mut text);
-            scenario.further_measures().markdown(&mut text);
+            let (beside, others) = self.split(scenario);
+            out.heading(&scenario.scenario);
+            out.paragraph(&scenario.about);
+            out.figure(scenario.figures_beside(&beside));
+            out.html(html! { p.replay { @for case in &beside { (scenario.replay_words(case)) } } });
+            if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
+                out.figure(scenario.animation(first));
+            }
+            out.paragraph(&scenario.best_words());
+            scenario.write_tables(out);
+            others.iter().for_each(|case| out.html(scenario.folded_figure(case)));
         }
-        text
     }
 }

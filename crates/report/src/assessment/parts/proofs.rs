@@ -1,13 +1,13 @@
 //! What is proved, and what the proofs take for granted.
 
 use crumple_verify::Assumption;
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
 use super::ScenarioCases;
 use super::certified::{self, Proof, ProofStatus, SpeaksOf};
 use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
@@ -88,34 +88,31 @@ impl Proofs {
     fn gaps(&self) -> Table {
         let [own, ahead] = EXAMPLE_MPS;
         let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
-        let mut table =
-            Table::new(&["own class behind class ahead", "own brake (m/s²)", "hardest brake ahead (m/s²)", &example]);
-        for kernel in &self.kernels {
-            table.row(vec![
-                Cell::text(&kernel.pair),
-                Cell::number(kernel.own_brake_mps2),
-                Cell::number(kernel.ahead_brake_mps2),
-                Cell::number(kernel.example_gap_m),
-            ]);
-        }
-        table
+        Table::of(
+            &self.kernels,
+            &[
+                ("own class behind class ahead", &|kernel| Cell::text(&kernel.pair)),
+                ("own brake (m/s²)", &|kernel| Cell::number(kernel.own_brake_mps2)),
+                ("hardest brake ahead (m/s²)", &|kernel| Cell::number(kernel.ahead_brake_mps2)),
+                (&example, &|kernel| Cell::number(kernel.example_gap_m)),
+            ],
+        )
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&["certificate", "about", "what is shown", "of whom here", "SHA-256"]);
-        for proof in &self.certificates {
-            table.row(vec![
-                Cell::text(&proof.name),
-                Cell::text(&proof.about),
-                match proof.status {
+        Table::of(
+            &self.certificates,
+            &[
+                ("certificate", &|proof| Cell::text(&proof.name)),
+                ("about", &|proof| Cell::text(&proof.about)),
+                ("what is shown", &|proof| match proof.status {
                     ProofStatus::NothingShown { .. } => Cell::text(proof.status.words()),
                     _ => Cell::judged(proof.status.words(), proof.is_accepted()),
-                },
-                Cell::text(proof.speaks_of.words()),
-                Cell::text(format!("{}…", proof.sha256.get(..16).unwrap_or_default())),
-            ]);
-        }
-        table
+                }),
+                ("of whom here", &|proof| Cell::text(proof.speaks_of.words())),
+                ("SHA-256", &|proof| Cell::digest(&proof.sha256)),
+            ],
+        )
     }
 
     /// How surely all bounds hold at once, if there are several: what each leaves open is added up.
@@ -175,32 +172,20 @@ const INTRODUCTION: &str = "Each claim here is a file that the checker accepted;
     close two vehicles get whoever drives; an unavoidable one, that they touch. Nothing is proved of the vehicle behind a shield, \
     nor that a shielded vehicle drives well; on another friction the gaps of a kernel scale by its inverse.";
 
-const RECHECK: &str = "crumple check --rerun certificates/*.json";
+const RECHECK: &str = "Check again, in the folder of this report: `crumple check --rerun certificates/*.json`";
 
 impl Part for Proofs {
     fn heading(&self) -> (&'static str, String) {
         ("proofs", "Proofs".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (INTRODUCTION) }
-            (self.table().html())
-            p { "Check again, in the folder of this report: " code { (RECHECK) } }
-            h3 { "What the kernels demand" }
-            (self.gaps().html())
-            h3 { "What the proofs take for granted" }
-            ul { @for line in self.assumptions() { li { (line) } } }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(INTRODUCTION);
-        self.table().markdown(&mut text);
-        text.paragraph(Inline::prose("Check again, in the folder of this report: ").and_code(RECHECK));
-        self.gaps().markdown(&mut text);
-        text.list(self.assumptions());
-        text
+    fn write(&self, out: &mut Document) {
+        out.paragraph(INTRODUCTION);
+        out.table(&self.table());
+        out.paragraph(RECHECK);
+        out.html(html! { h3 { "What the kernels demand" } });
+        out.table(&self.gaps());
+        out.html(html! { h3 { "What the proofs take for granted" } });
+        out.list(&self.assumptions());
     }
 }

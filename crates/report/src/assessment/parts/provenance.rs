@@ -1,10 +1,10 @@
 //! Where the evidence comes from.
 
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
-use crate::assessment::markdown::{Inline, Markdown};
-use crate::assessment::prose::prose;
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
 use crumple_world::digest::sha256;
@@ -58,12 +58,14 @@ impl Provenance {
     }
 
     fn hashes(&self) -> Table {
-        let mut table = Table::new(&["evidence", "from inputs, SHA-256", "says, SHA-256"]);
-        for hash in &self.evidence {
-            let short = |text: &str| Cell::text(format!("{}…", text.get(..16).unwrap_or_default()));
-            table.row(vec![Cell::text(&hash.name), short(&hash.inputs_sha256), short(&hash.evidence_sha256)]);
-        }
-        table
+        Table::of(
+            &self.evidence,
+            &[
+                ("evidence", &|hash| Cell::text(&hash.name)),
+                ("from inputs, SHA-256", &|hash| Cell::digest(&hash.inputs_sha256)),
+                ("says, SHA-256", &|hash| Cell::digest(&hash.evidence_sha256)),
+            ],
+        )
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
@@ -118,21 +120,14 @@ impl Part for Provenance {
         ("provenance", "Provenance".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
+    fn write(&self, out: &mut Document) {
+        out.html(html! {
             @if let Some(made) = &self.made { p #made { "Made " (made.words()) "." } }
             dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
-            p { (prose(KEPT)) }
-            details { summary { "hashes of the evidence" } (self.hashes().html()) }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        let made = self.made.iter().map(|made| ("made", made.words()));
-        let lines = made.chain(self.lines());
-        text.paragraph(KEPT);
-        text.list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
-        text
+        });
+        out.paragraph(KEPT);
+        out.html(html! { details { summary { "hashes of the evidence" } (self.hashes().html()) } });
+        let lines = self.made.iter().map(|made| ("made", made.words())).chain(self.lines());
+        out.markdown().list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
     }
 }

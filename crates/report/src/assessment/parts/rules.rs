@@ -1,16 +1,16 @@
 //! Searches for what a controller must not do besides touching somebody: braking without cause, braking imposed on others, disturbances
 //! enlarged, or any formula.
 
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 use serde_json::json;
 
 use super::search::{Texts, searched};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::commands::controller_word;
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::plan::{NamedSpace, file_stem};
-use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
@@ -251,25 +251,23 @@ impl RuleSearches {
     }
 
     fn table(&self) -> Table {
-        let header =
-            ["controller", "runs that break it", "distinct", "first after (runs)", "robustness", "what is not nominal"];
-        let mut table = Table::new(&header);
-        for search in &self.controllers {
-            let dash = || "–".to_owned();
-            let worst = search.worst.as_ref();
-            table.row(vec![
-                Cell::text(&search.controller),
-                Cell::judged(
-                    format!("{} of {}", search.violations, search.evaluations),
-                    search.violations == 0 && search.unanswered.is_none(),
-                ),
-                Cell::number(search.distinct),
-                Cell::number(search.first.map_or_else(dash, |first| first.to_string())),
-                Cell::number(worst.map_or_else(dash, |worst| worst.robustness.to_string())),
-                Cell::text(worst.map_or_else(dash, |worst| worst.changed.join(", "))),
-            ]);
-        }
-        table
+        let worst = |search: &RuleSearch, words: fn(&RuleViolation) -> String| search.worst.as_ref().map(words);
+        Table::of(
+            &self.controllers,
+            &[
+                ("controller", &|search| Cell::text(&search.controller)),
+                ("runs that break it", &|search| {
+                    let is_kept = search.violations == 0 && search.unanswered.is_none();
+                    Cell::judged(format!("{} of {}", search.violations, search.evaluations), is_kept)
+                }),
+                ("distinct", &|search| Cell::number(search.distinct)),
+                ("first after (runs)", &|search| Cell::optional(search.first)),
+                ("robustness", &|search| Cell::optional(worst(search, |one| one.robustness.to_string()))),
+                ("what is not nominal", &|search| {
+                    Cell::text(worst(search, |one| one.changed.join(", ")).unwrap_or_else(|| "–".to_owned()))
+                }),
+            ],
+        )
     }
 
     /// Of each controller that gave no answer in some runs: in how many, and why.
@@ -296,31 +294,17 @@ impl Part for Rules {
         (ANCHOR, "Rules of conduct".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (INTRODUCTION) }
-            @for one in &self.searches {
-                h3 { (one.heading()) }
-                (one.table().html())
-                @for line in one.silent() { p { (prose(&line)) } }
-                p.replay { @for command in one.replays() { code { (command) } " " } }
-                details {
-                    summary { "search again" }
-                    ul { @for command in one.controllers.iter().filter_map(|search| search.command.as_ref()) { li { code { (command) } } } }
-                }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(INTRODUCTION);
+    fn write(&self, out: &mut Document) {
+        out.paragraph(INTRODUCTION);
         for one in &self.searches {
-            text.heading(3, &one.heading());
-            one.table().markdown(&mut text);
-            one.silent().for_each(|line| text.paragraph(line));
-            text.list(one.replays().map(|command| Inline::default().and_code(command)));
+            out.heading(&one.heading());
+            out.table(&one.table());
+            one.silent().for_each(|line| out.paragraph(&line));
+            out.html(html! { p.replay { @for command in one.replays() { code { (command) } " " } } });
+            out.folded("search again", |out| {
+                out.commands(one.controllers.iter().filter_map(|search| search.command.as_ref()));
+            });
+            out.markdown().list(one.replays().map(Inline::code));
         }
-        text
     }
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::assessment::best::CertifiedBest;
 use crate::assessment::case::{Case, CaseVerdict};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, Words};
-use crate::assessment::rounded::or_dash;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, Best, Command};
 use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
@@ -99,82 +99,50 @@ impl ScenarioCases {
         self.best.as_ref().map(Best::words).unwrap_or_default()
     }
 
-    /// Outcomes and the measures to look at first, one row a controller.
-    pub(in crate::assessment) fn table(&self) -> Table {
-        let header = [
-            "controller",
-            "outcome",
-            "min gap ahead (m)",
-            "min gap behind (m)",
-            "regret (m)",
-            "min TTC (s)",
-            "peak brake (m/s²)",
-            "imposed behind (m/s²)",
-            "pile-up (vehicles)",
-            "max delta-v (m/s)",
-        ];
-        self.rows(&header, |case| {
-            vec![
-                Cell::marked(case.verdict.words(), case.verdict.mark()),
-                Cell::number(or_dash(case.ahead.min_gap_m)),
-                Cell::number(or_dash(case.behind.min_gap_m)),
-                Cell::number(or_dash(case.regret_m)),
-                Cell::number(or_dash(case.ahead.min_ttc_s)),
-                Cell::number(or_dash(case.peak_brake_mps2)),
-                Cell::number(or_dash(case.imposed_brake_mps2)),
-                Cell::number(case.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string())),
-                Cell::number(or_dash(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
-            ]
-        })
+    /// Returns outcomes and the measures to look at first, one row a controller.
+    pub(super) fn table(&self) -> Table {
+        Table::of(
+            &self.cases,
+            &[
+                ("controller", &|case| Cell::text(&case.controller)),
+                ("outcome", &|case| Cell::marked(case.verdict.words(), case.verdict.mark())),
+                ("min gap ahead (m)", &|case| Cell::optional(case.ahead.min_gap_m)),
+                ("min gap behind (m)", &|case| Cell::optional(case.behind.min_gap_m)),
+                ("regret (m)", &|case| Cell::optional(case.regret_m)),
+                ("min TTC (s)", &|case| Cell::optional(case.ahead.min_ttc_s)),
+                ("peak brake (m/s²)", &|case| Cell::optional(case.peak_brake_mps2)),
+                ("imposed behind (m/s²)", &|case| Cell::optional(case.imposed_brake_mps2)),
+                ("pile-up (vehicles)", &|case| Cell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("max delta-v (m/s)", &|case| Cell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+            ],
+        )
     }
 
-    /// The other measures, one row a controller.
-    pub(in crate::assessment) fn further_measures(&self) -> Table {
-        let header = [
-            "controller",
-            "min time headway (s)",
-            "min time gap (s)",
-            "max DRAC (m/s²)",
-            "required brake (m/s²)",
-            "TET (s)",
-            "TIT (s²)",
-            "peak jerk (m/s³)",
-            "standstill gap ahead (m)",
-            "standstill gap behind (m)",
-            "max DRAC behind (m/s²)",
-            "TET behind (s)",
-        ];
-        self.rows(&header, |case| {
-            vec![
-                Cell::number(or_dash(case.ahead.min_time_headway_s)),
-                Cell::number(or_dash(case.ahead.min_time_gap_s)),
-                Cell::number(or_dash(case.ahead.max_drac_mps2)),
-                Cell::number(or_dash(case.ahead.max_required_brake_mps2)),
-                Cell::number(case.ahead.tet_s),
-                Cell::number(case.ahead.tit_s2),
-                Cell::number(or_dash(case.peak_jerk_mps3)),
-                Cell::number(or_dash(case.ahead.standstill_gap_m)),
-                Cell::number(or_dash(case.behind.standstill_gap_m)),
-                Cell::number(or_dash(case.behind.max_drac_mps2)),
-                Cell::number(case.behind.tet_s),
-            ]
-        })
+    /// Returns the other measures, one row a controller.
+    pub(super) fn further_measures(&self) -> Table {
+        Table::of(
+            &self.cases,
+            &[
+                ("controller", &|case| Cell::text(&case.controller)),
+                ("min time headway (s)", &|case| Cell::optional(case.ahead.min_time_headway_s)),
+                ("min time gap (s)", &|case| Cell::optional(case.ahead.min_time_gap_s)),
+                ("max DRAC (m/s²)", &|case| Cell::optional(case.ahead.max_drac_mps2)),
+                ("required brake (m/s²)", &|case| Cell::optional(case.ahead.max_required_brake_mps2)),
+                ("TET (s)", &|case| Cell::number(case.ahead.tet_s)),
+                ("TIT (s²)", &|case| Cell::number(case.ahead.tit_s2)),
+                ("peak jerk (m/s³)", &|case| Cell::optional(case.peak_jerk_mps3)),
+                ("standstill gap ahead (m)", &|case| Cell::optional(case.ahead.standstill_gap_m)),
+                ("standstill gap behind (m)", &|case| Cell::optional(case.behind.standstill_gap_m)),
+                ("max DRAC behind (m/s²)", &|case| Cell::optional(case.behind.max_drac_mps2)),
+                ("TET behind (s)", &|case| Cell::number(case.behind.tet_s)),
+            ],
+        )
     }
 
-    fn rows(&self, header: &[&str], cells: impl Fn(&Case) -> Vec<Cell>) -> Table {
-        let mut table = Table::new(header);
-        for case in &self.cases {
-            table.row(std::iter::once(Cell::text(&case.controller)).chain(cells(case)).collect());
-        }
-        table
-    }
-
-    /// Both tables, the second one folded away.
-    pub(in crate::assessment) fn tables(&self) -> Markup {
-        html! {
-            (self.table().html())
-            details { summary { "further measures" } (self.further_measures().html()) }
-        }
+    /// Writes both tables, the second one folded away.
+    pub(in crate::assessment) fn write_tables(&self, out: &mut Document) {
+        out.table(&self.table());
+        out.folded("further measures", |out| out.table(&self.further_measures()));
     }
 
     /// How to run one case again.

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use maud::{Markup, html};
+use maud::html;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -13,10 +13,10 @@ use super::found::{Failure, MethodReached, is_own};
 use crate::assessment::case::{Motion, largest, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
-use crate::assessment::markdown::{Inline, Markdown};
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose;
-use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, StoreError};
@@ -160,35 +160,25 @@ impl SpaceSearches {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&[
-            "controller",
-            "distinct failures",
-            "avoidable",
-            "unavoidable",
-            "undecided",
-            "severest impact (m/s)",
-            "first after (runs)",
-            "uniform: first after",
-            "share failing",
-            "Halton: first after",
-        ]);
-        for search in &self.controllers {
-            let first = |method| search.reached(method).and_then(|reached| reached.first_failure);
-            let or_none = |first: Option<u64>| first.map_or("none".to_owned(), |first| first.to_string());
-            table.row(vec![
-                Cell::text(&search.controller),
-                Cell::judged(search.total(), search.total() == 0),
-                Cell::number(search.count(AvoidabilityClass::Avoidable)),
-                Cell::number(search.count(AvoidabilityClass::Unavoidable)),
-                Cell::number(search.count(AvoidabilityClass::Undecided)),
-                Cell::number(or_dash(search.severest_mps())),
-                Cell::number(or_none(search.methods.first().and_then(|reached| reached.first_failure))),
-                Cell::number(or_none(first(Method::Uniform))),
-                Cell::number(search.uniform_share().map_or("–".to_owned(), |share| format!("{share} %"))),
-                Cell::number(or_none(first(Method::Halton))),
-            ]);
-        }
-        table
+        let first = |reached: Option<&MethodReached>| {
+            let first = reached.and_then(|reached| reached.first_failure);
+            Cell::number(first.map_or("none".to_owned(), |first| first.to_string()))
+        };
+        Table::of(
+            &self.controllers,
+            &[
+                ("controller", &|search| Cell::text(&search.controller)),
+                ("distinct failures", &|search| Cell::judged(search.total(), search.total() == 0)),
+                ("avoidable", &|search| Cell::number(search.count(AvoidabilityClass::Avoidable))),
+                ("unavoidable", &|search| Cell::number(search.count(AvoidabilityClass::Unavoidable))),
+                ("undecided", &|search| Cell::number(search.count(AvoidabilityClass::Undecided))),
+                ("severest impact (m/s)", &|search| Cell::optional(search.severest_mps())),
+                ("first after (runs)", &|search| first(search.methods.first())),
+                ("uniform: first after", &|search| first(search.reached(Method::Uniform))),
+                ("share failing", &|search| Cell::optional(search.uniform_share().map(|share| format!("{share} %")))),
+                ("Halton: first after", &|search| first(search.reached(Method::Halton))),
+            ],
+        )
     }
 }
 
@@ -314,29 +304,19 @@ impl Search {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&[
-            "failure",
-            "what happens",
-            "class",
-            "delta-v (m/s)",
-            "vehicles",
-            "rank by likelihood",
-            "found by",
-            "what is not nominal",
-        ]);
-        for failure in &self.failures {
-            table.row(vec![
-                Cell::text(failure.short_name()),
-                Cell::text(failure.words()),
-                Cell::text(failure.class_words()),
-                Cell::number(or_dash(failure.max_delta_v_mps)),
-                Cell::number(failure.vehicles),
-                Cell::number(failure.likelihood_rank),
-                Cell::text(format!("{}, run {}", failure.found_by, failure.found_at)),
-                Cell::text(failure.changed.join(", ")),
-            ]);
-        }
-        table
+        Table::of(
+            &self.failures,
+            &[
+                ("failure", &|failure| Cell::text(failure.short_name())),
+                ("what happens", &|failure| Cell::text(failure.words())),
+                ("class", &|failure| Cell::text(failure.class_words())),
+                ("delta-v (m/s)", &|failure| Cell::optional(failure.max_delta_v_mps)),
+                ("vehicles", &|failure| Cell::number(failure.vehicles)),
+                ("rank by likelihood", &|failure| Cell::number(failure.likelihood_rank)),
+                ("found by", &|failure| Cell::text(format!("{}, run {}", failure.found_by, failure.found_at))),
+                ("what is not nominal", &|failure| Cell::text(failure.changed.join(", "))),
+            ],
+        )
     }
 
     fn in_short(&self) -> String {
@@ -462,71 +442,56 @@ const WHERE: &str = "Commands run in the folder of this report, where policies a
     `replay.sh` checks the files of the report and runs all that show a failure or an escape. A controller from outside that is no file of its own \
     (a process, an FMU) has no commands here.";
 
-impl Part for Searches {
-    fn heading(&self) -> (&'static str, String) {
-        ("search", "Failure search".to_owned())
-    }
-
-    fn html(&self) -> Markup {
-        html! {
-            p { (prose(INTRODUCTION)) " " (prose(WHERE)) }
-            @for space in &self.spaces {
-                h3 { "Space " (space.name) }
-                p { (prose(&space.about)) }
-                (space.table().html())
-                @for search in &space.controllers {
+impl Search {
+    fn write(&self, out: &mut Document) {
+        out.html(html! {
+            details {
+                summary { (self.controller) ": " (self.in_short()) }
+                p { (prose(&self.effort())) }
+                @if !self.failures.is_empty() {
+                    (self.table().html())
+                    ul { @for command in self.failures.iter().flat_map(Failure::commands) { li { code { (command) } } } }
+                }
+                @if let Some(command) = &self.command { p { "Search again: " code { (command) } } }
+                @if !self.drawn.is_empty() {
                     details {
-                        summary { (search.controller) ": " (search.in_short()) }
-                        p { (prose(&search.effort())) }
-                        @if !search.failures.is_empty() {
-                            (search.table().html())
-                            ul { @for command in search.failures.iter().flat_map(Failure::commands) { li { code { (command) } } } }
-                        }
-                        @if let Some(command) = &search.command { p { "Search again: " code { (command) } } }
-                        @if !search.drawn.is_empty() {
-                            details {
-                                summary { "the severest, drawn" }
-                                @for (rank, cases) in search.drawn.iter().enumerate() {
-                                    @for case in &cases.cases {
-                                        figure { (cases.figure(case)) }
-                                        @if rank == 0 { figure { (cases.animation(case)) } }
-                                    }
-                                }
+                        summary { "the severest, drawn" }
+                        @for (rank, cases) in self.drawn.iter().enumerate() {
+                            @for case in &cases.cases {
+                                figure { (cases.figure(case)) }
+                                @if rank == 0 { figure { (cases.animation(case)) } }
                             }
                         }
                     }
                 }
             }
-        }
+        });
+        let with_command = |words: Inline, before: &str, command: &Option<Command>| match command {
+            Some(command) => words.and(before).and_code(command),
+            None => words,
+        };
+        let words = Inline::prose(&format!("{}: {}", self.controller, self.effort()));
+        out.markdown().paragraph(with_command(words, " Search again: ", &self.command));
+        out.markdown().list(self.failures.iter().map(|failure| {
+            let (words, class) = (failure.words(), failure.class_words());
+            let words = Inline::prose(&format!("{words}, {class}, rank {} by likelihood", failure.likelihood_rank));
+            with_command(words, ": ", &failure.replay)
+        }));
+    }
+}
+
+impl Part for Searches {
+    fn heading(&self) -> (&'static str, String) {
+        ("search", "Failure search".to_owned())
     }
 
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(format!("{INTRODUCTION} {WHERE}"));
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&format!("{INTRODUCTION} {WHERE}"));
         for space in &self.spaces {
-            text.heading(3, &format!("Space {}", space.name));
-            text.paragraph(space.about.as_str());
-            space.table().markdown(&mut text);
-            for search in &space.controllers {
-                let words = Inline::prose(&format!("{}: {}", search.controller, search.effort()));
-                text.paragraph(match &search.command {
-                    Some(command) => words.and(" Search again: ").and_code(command),
-                    None => words,
-                });
-                text.list(search.failures.iter().map(|failure| {
-                    let words = Inline::prose(&format!(
-                        "{}, {}, rank {} by likelihood",
-                        failure.words(),
-                        failure.class_words(),
-                        failure.likelihood_rank
-                    ));
-                    match &failure.replay {
-                        Some(command) => words.and(": ").and_code(command),
-                        None => words,
-                    }
-                }));
-            }
+            out.heading(&format!("Space {}", space.name));
+            out.paragraph(&space.about);
+            out.table(&space.table());
+            space.controllers.iter().for_each(|search| search.write(out));
         }
-        text
     }
 }

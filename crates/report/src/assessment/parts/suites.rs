@@ -2,16 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use maud::{Markup, html};
+use maud::html;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::found::EscapeFile;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::commands::controller_word;
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::planned_suite::PlannedSuite;
-use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Mark, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
@@ -365,21 +364,28 @@ impl SuiteFindings {
     }
 
     fn details(&self) -> Table {
-        let header =
-            ["test", "controller", "verdict", "margins", "worst that the clause allows", "who could have prevented it"];
-        let mut table = Table::new(&header);
-        for test in &self.tests {
-            for (controller, outcome) in self.controllers.iter().zip(&test.outcomes) {
-                let dash = || "–".to_owned();
-                let margins = if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") };
-                let prevented =
-                    outcome.worst.as_ref().map_or_else(dash, |worst| format!("{}: {}", worst.point, worst.preventable));
-                let within = outcome.within.clone().unwrap_or_else(dash);
-                let cells = [&test.test, controller, &outcome.verdict, &margins, &within, &prevented];
-                table.row(cells.into_iter().map(Cell::text).collect());
-            }
-        }
-        table
+        let each = self.tests.iter().flat_map(|test| {
+            self.controllers.iter().zip(&test.outcomes).map(move |(controller, outcome)| (test, controller, outcome))
+        });
+        let dash = || "–".to_owned();
+        let prevented = |worst: &SuiteFailure| format!("{}: {}", worst.point, worst.preventable);
+        Table::of(
+            each,
+            &[
+                ("test", &|(test, ..)| Cell::text(&test.test)),
+                ("controller", &|(_, controller, _)| Cell::text(controller)),
+                ("verdict", &|(.., outcome)| Cell::text(&outcome.verdict)),
+                ("margins", &|(.., outcome)| {
+                    Cell::text(if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") })
+                }),
+                ("worst that the clause allows", &|(.., outcome)| {
+                    Cell::text(outcome.within.clone().unwrap_or_else(dash))
+                }),
+                ("who could have prevented it", &|(.., outcome)| {
+                    Cell::text(outcome.worst.as_ref().map_or_else(dash, prevented))
+                }),
+            ],
+        )
     }
 
     /// Of each controller that gave no answer in some runs: in how many, and why.
@@ -399,8 +405,8 @@ impl SuiteFindings {
         format!("After {}. Figures from: {} {STATEMENT}", self.document, self.figures_from)
     }
 
-    fn outside(&self) -> impl Iterator<Item = &str> {
-        self.outside.iter().chain(&self.left_out).map(String::as_str)
+    fn outside(&self) -> Vec<String> {
+        [&self.outside[..], &self.left_out].concat()
     }
 
     fn replays(&self) -> impl Iterator<Item = &Command> {
@@ -419,33 +425,17 @@ impl Part for Suites {
         (ANCHOR, "Tests after regulations".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (INTRODUCTION) " " (self.statement) }
-            @for found in &self.suites {
-                h3 { (found.suite.name) }
-                p { (found.words()) }
-                (found.matrix().html())
-                @for line in found.silent() { p { (prose(&line)) } }
-                details { summary { "verdicts, margins, the worst within each clause" } (found.details().html()) }
-                details { summary { "outside the model, and left out" } ul { @for line in found.outside() { li { (line) } } } }
-                p.replay { @for command in found.replays() { code { (command) } " " } }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(format!("{INTRODUCTION} {}", self.statement));
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&format!("{INTRODUCTION} {}", self.statement));
         for found in &self.suites {
-            text.heading(3, &found.suite.name);
-            text.paragraph(found.words());
-            found.matrix().markdown(&mut text);
-            found.silent().into_iter().for_each(|line| text.paragraph(line));
-            found.details().markdown(&mut text);
-            text.paragraph("Outside the model, and left out:");
-            text.list(found.outside());
+            out.heading(&found.suite.name);
+            out.paragraph(&found.words());
+            out.table(&found.matrix());
+            found.silent().iter().for_each(|line| out.paragraph(line));
+            out.folded("verdicts, margins, the worst within each clause", |out| out.table(&found.details()));
+            out.markdown().paragraph("Outside the model, and left out:");
+            out.folded("outside the model, and left out", |out| out.list(&found.outside()));
+            out.html(html! { p.replay { @for command in found.replays() { code { (command) } " " } } });
         }
-        text
     }
 }

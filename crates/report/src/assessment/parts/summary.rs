@@ -1,12 +1,12 @@
 //! The verdict: claims about each controller, and how strongly each is supported.
 
-use maud::{Markup, html};
+use maud::html;
 use serde::Serialize;
 
 use super::certified::{kernel_domain, kernels, seeing};
 use super::{Distributions, PaperScenarios, Proofs, Rules, Searches, Suites, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
 use crumple_world::control::ProcessController;
@@ -117,11 +117,7 @@ impl Summary {
     }
 
     fn names(&self) -> Table {
-        let mut table = Table::new(&["name", "what it is"]);
-        for NamedThing { name, what } in &self.named {
-            table.row(vec![Cell::text(name), Cell::text(what)]);
-        }
-        table
+        Table::of(&self.named, &[("name", &|one| Cell::text(&one.name)), ("what it is", &|one| Cell::text(&one.what))])
     }
 
     /// Those the question is about, and the others.
@@ -282,27 +278,16 @@ impl Part for Summary {
         ("verdict", "Claims".to_owned())
     }
 
-    fn html(&self) -> Markup {
+    fn write(&self, out: &mut Document) {
         let (asked, others) = self.columns();
-        html! {
-            details { summary { "what the names stand for" } (self.names().html()) }
-            (self.table(&asked).html())
-            @if !others.is_empty() {
-                details { summary { "the other controllers" } (self.table(&others).html()) }
-            }
-            details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        let (asked, others) = self.columns();
-        self.names().markdown(&mut text);
-        self.table(&asked).markdown(&mut text);
+        out.folded("what the names stand for", |out| out.table(&self.names()));
+        out.table(&self.table(&asked));
         if !others.is_empty() {
-            text.paragraph("The other controllers:");
-            self.table(&others).markdown(&mut text);
+            out.markdown().paragraph("The other controllers:");
+            out.folded("the other controllers", |out| out.table(&self.table(&others)));
         }
-        text
+        out.html(html! {
+            details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
+        });
     }
 }

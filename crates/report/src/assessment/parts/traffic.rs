@@ -1,6 +1,6 @@
 //! Scenarios from files: recorded traffic, and whatever else the configuration names.
 
-use maud::{Markup, html};
+use maud::html;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -8,7 +8,7 @@ use super::{ScenarioCases, scenarios};
 use crate::assessment::best::{Best, CertifiedBest, WHAT_REGRET_IS};
 use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
-use crate::assessment::markdown::Markdown;
+use crate::assessment::document::Document;
 use crate::assessment::plan::file_stem;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -134,43 +134,36 @@ impl Part for Traffic {
         (ANCHOR, "Recorded traffic and other scenarios".to_owned())
     }
 
-    fn html(&self) -> Markup {
+    fn write(&self, out: &mut Document) {
         let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
-        html! {
-            p { (INTRODUCTION) }
-            p { (WHAT_REGRET_IS) " It was looked for in the scenarios shown in detail." }
-            (self.overview().html())
-            @if !self.left_out.is_empty() {
-                details { summary { (self.left_out_words()) } ul { @for line in &self.left_out { li { (line) } } } }
-            }
-            p {
-                @if telling.len() < self.scenarios.len() {
-                    "Details of the " (telling.len()) " of " (self.scenarios.len()) " scenarios in which somebody came closest:"
-                } @else {
-                    "Details, closest first:"
-                }
-            }
+        out.paragraph(INTRODUCTION);
+        out.html(html! { p { (WHAT_REGRET_IS) " It was looked for in the scenarios shown in detail." } });
+        out.markdown().paragraph(WHAT_REGRET_IS);
+        out.table(&self.overview());
+        if !self.left_out.is_empty() {
+            out.markdown().paragraph(self.left_out_words() + ":");
+            out.folded(&self.left_out_words(), |out| out.list(&self.left_out));
+        }
+        let details = match telling.len() < self.scenarios.len() {
+            true => format!(
+                "Details of the {} of {} scenarios in which somebody came closest:",
+                telling.len(),
+                self.scenarios.len()
+            ),
+            false => "Details, closest first:".to_owned(),
+        };
+        out.html(html! {
+            p { (details) }
             @for scenario in telling {
                 details {
                     summary { (scenario.scenario) }
                     p { (scenario.about) }
                     p { (scenario.best_words()) }
-                    (scenario.tables())
+                    (scenario.table().html())
+                    details { summary { "further measures" } (scenario.further_measures().html()) }
                     @for case in &scenario.cases { (scenario.folded_figure(case)) }
                 }
             }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(INTRODUCTION);
-        text.paragraph(WHAT_REGRET_IS);
-        self.overview().markdown(&mut text);
-        if !self.left_out.is_empty() {
-            text.paragraph(self.left_out_words() + ":");
-            text.list(self.left_out.iter().map(String::as_str));
-        }
-        text
+        });
     }
 }

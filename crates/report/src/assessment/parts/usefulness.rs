@@ -1,6 +1,5 @@
 //! Usefulness: what a controller does where nothing threatens, beside what it survives where something does.
 
-use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -8,9 +7,8 @@ use super::distribution::{Draw, run_draws};
 use super::{LineVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
+use crate::assessment::document::Document;
 use crate::assessment::gate::SpaceTally;
-use crate::assessment::markdown::Markdown;
-use crate::assessment::prose::prose;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
@@ -434,21 +432,11 @@ impl Part for Usefulness {
         (ANCHOR, "Usefulness: everyday traffic".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (self.introduction()) }
-            (self.table().html())
-            @for line in self.silent() { p { (prose(&line)) } }
-            figure { (self.figure(ANCHOR)) }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(self.introduction());
-        self.table().markdown(&mut text);
-        self.silent().into_iter().for_each(|line| text.paragraph(line));
-        text
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.introduction());
+        out.table(&self.table());
+        self.silent().iter().for_each(|line| out.paragraph(line));
+        out.figure(self.figure(ANCHOR));
     }
 }
 

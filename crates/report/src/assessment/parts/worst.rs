@@ -1,6 +1,5 @@
 //! The gentlest lead braking that makes each controller collide.
 
-use maud::{Markup, html};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -9,8 +8,8 @@ use crate::assessment::best::Best;
 use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
 use crate::assessment::commands::controller_word;
-use crate::assessment::markdown::{Inline, Markdown};
-use crate::assessment::rounded::or_dash;
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
@@ -142,37 +141,27 @@ impl WorstProfiles {
     }
 
     fn table(&self) -> Table {
-        let mut table = Table::new(&[
-            "controller",
-            "peak of the leader (m/s²)",
-            "∫a² (m²/s³)",
-            "what follows",
-            "pile-up (vehicles)",
-            "gap of the best escape found",
-            "margin predicted (m)",
-            "simulated (m)",
-            "a milder one is",
-        ]);
-        for (controller, mildest) in self.found() {
-            let pile_up = mildest.pile_up.map_or("–".to_owned(), |pile_up| pile_up.vehicles.to_string());
-            table.row(vec![
-                Cell::text(controller),
-                Cell::number(mildest.peak_brake_mps2),
-                Cell::number(mildest.effort_m2ps3),
-                Cell::marked(mildest.verdict.words(), mildest.verdict.mark()),
-                Cell::number(pile_up),
-                Cell::text(mildest.best.brief()),
-                Cell::number(or_dash(mildest.predicted_margin_m)),
-                Cell::number(or_dash(mildest.margin_m)),
-                Cell::text(match mildest.method {
-                    _ if mildest.verdict.unanswered().is_some() => "–",
-                    AttackMethod::Exact => "ruled out on this grid",
-                    AttackMethod::Widened => "not ruled out, but near the least",
-                    AttackMethod::Sequential => "not ruled out",
+        Table::of(
+            self.found(),
+            &[
+                ("controller", &|(controller, _)| Cell::text(controller)),
+                ("peak of the leader (m/s²)", &|(_, mildest)| Cell::number(mildest.peak_brake_mps2)),
+                ("∫a² (m²/s³)", &|(_, mildest)| Cell::number(mildest.effort_m2ps3)),
+                ("what follows", &|(_, mildest)| Cell::marked(mildest.verdict.words(), mildest.verdict.mark())),
+                ("pile-up (vehicles)", &|(_, mildest)| Cell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("gap of the best escape found", &|(_, mildest)| Cell::text(mildest.best.brief())),
+                ("margin predicted (m)", &|(_, mildest)| Cell::optional(mildest.predicted_margin_m)),
+                ("simulated (m)", &|(_, mildest)| Cell::optional(mildest.margin_m)),
+                ("a milder one is", &|(_, mildest)| {
+                    Cell::text(match mildest.method {
+                        _ if mildest.verdict.unanswered().is_some() => "–",
+                        AttackMethod::Exact => "ruled out on this grid",
+                        AttackMethod::Widened => "not ruled out, but near the least",
+                        AttackMethod::Sequential => "not ruled out",
+                    })
                 }),
-            ]);
-        }
-        table
+            ],
+        )
     }
 
     fn introduction(&self) -> String {
@@ -279,32 +268,16 @@ impl Part for WorstProfiles {
         ("worst", "Worst brake profiles".to_owned())
     }
 
-    fn html(&self) -> Markup {
-        html! {
-            p { (self.introduction()) }
-            @if self.found().next().is_some() {
-                (self.table().html())
-                p { (self.avoidable()) }
-                figure { (worst_figure::responsive(self.found(), self.duration_s.value())) }
-            }
-            @for line in self.withstood() { p { (line) } }
-            details {
-                summary { "commands that find them again" }
-                ul { @for command in self.commands() { li { code { (command) } } } }
-            }
-        }
-    }
-
-    fn markdown(&self) -> Markdown {
-        let mut text = Markdown::default();
-        text.paragraph(self.introduction());
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.introduction());
         if self.found().next().is_some() {
-            self.table().markdown(&mut text);
-            text.paragraph(self.avoidable());
+            out.table(&self.table());
+            out.paragraph(&self.avoidable());
+            out.figure(worst_figure::responsive(self.found(), self.duration_s.value()));
         }
-        self.withstood().into_iter().for_each(|line| text.paragraph(line));
-        text.paragraph("Commands that find them again:");
-        text.list(self.commands().map(Inline::code));
-        text
+        self.withstood().iter().for_each(|line| out.paragraph(line));
+        out.folded("commands that find them again", |out| out.commands(self.commands()));
+        out.markdown().paragraph("Commands that find them again:");
+        out.markdown().list(self.commands().map(Inline::code));
     }
 }

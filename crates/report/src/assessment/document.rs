@@ -1,0 +1,93 @@
+//! The text of a part, written as HTML and as Markdown at once.
+
+use maud::{Markup, PreEscaped, Render, html};
+
+use super::Command;
+use super::markdown::{Inline, Markdown};
+use super::prose::prose;
+use super::table::Table;
+
+/// A text with two forms: HTML with figures, and Markdown without.
+#[derive(Debug, Default)]
+pub struct Document {
+    html: String,
+    markdown: Markdown,
+}
+
+impl Document {
+    /// Writes a paragraph; text between backticks is code.
+    pub(super) fn paragraph(&mut self, text: &str) {
+        self.html(html! { p { (prose(text)) } });
+        self.markdown.paragraph(text);
+    }
+
+    /// Writes a heading below that of the part.
+    pub(super) fn heading(&mut self, text: &str) {
+        self.html(html! { h3 { (text) } });
+        self.markdown.heading(3, text);
+    }
+
+    pub(super) fn table(&mut self, table: &Table) {
+        self.html(table.html());
+        table.markdown(&mut self.markdown);
+    }
+
+    pub(super) fn list(&mut self, lines: &[String]) {
+        self.html(html! { ul { @for line in lines { li { (prose(line)) } } } });
+        self.markdown.list(lines.iter().map(String::as_str));
+    }
+
+    /// Writes a nested list, each entry with its depth.
+    pub(super) fn outline(&mut self, entries: Vec<(usize, Inline, Markup)>) {
+        let mut open = 0;
+        for (depth, _, entry) in &entries {
+            while open > depth + 1 {
+                self.html += "</ul>";
+                open -= 1;
+            }
+            if open == *depth {
+                self.html += "<ul>";
+                open += 1;
+            }
+            self.html(html! { li { (entry) } });
+        }
+        self.html += &"</ul>".repeat(open);
+        self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
+    }
+
+    /// Writes what only HTML shows, such as a figure.
+    pub(super) fn html(&mut self, markup: impl Render) {
+        markup.render_to(&mut self.html);
+    }
+
+    /// Writes a figure, which only HTML shows.
+    pub(super) fn figure(&mut self, figure: impl Render) {
+        self.html(html! { figure { (figure) } });
+    }
+
+    /// Writes a list of commands, which only HTML shows.
+    pub(super) fn commands<'a>(&mut self, commands: impl IntoIterator<Item = &'a Command>) {
+        self.html(html! { ul { @for command in commands { li { code { (command) } } } } });
+    }
+
+    /// Returns the Markdown, for what only Markdown shows.
+    pub(super) fn markdown(&mut self) -> &mut Markdown {
+        &mut self.markdown
+    }
+
+    /// Writes blocks that HTML shows on demand, below a summary.
+    pub(super) fn folded(&mut self, summary: &str, write: impl FnOnce(&mut Self)) {
+        self.html += "<details>";
+        self.html(html! { summary { (summary) } });
+        write(self);
+        self.html += "</details>";
+    }
+
+    pub(super) fn into_html(self) -> Markup {
+        PreEscaped(self.html)
+    }
+
+    pub(super) fn into_markdown(self) -> Markdown {
+        self.markdown
+    }
+}
