@@ -6,8 +6,7 @@ use rand::RngExt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::config::ConfigError;
-use super::limits::within;
+use super::config_error::{ConfigError, within};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{Space, find_space};

@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
+use crate::rl::config::PRIVILEGED;
 use crate::rl::oracle::Oracle;
-use crate::rl::privileged::PRIVILEGED;
 use crate::rl::*;
 use crumple_world::policy::{Network, STATE};
 use crumple_world::random::{Purpose, Stream, stream};
