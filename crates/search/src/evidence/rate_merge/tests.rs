@@ -1,5 +1,6 @@
 use std::collections::HashMap;
 use std::fs;
+use std::ops::ControlFlow;
 
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
@@ -54,7 +55,7 @@ fn taken(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeErr
 fn whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
     let folder = tempfile::tempdir().unwrap();
     let mut count = plan.register_in(folder.path(), false).unwrap();
-    count.certificate(&mut |_| ()).unwrap();
+    count.certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
     let tally = count.tally().clone();
     (folder, tally)
 }
