@@ -89,7 +89,9 @@ fn against_searches() {
                 built_in(name).expect("built in").edited(|spec| spec.seed = seed).expect("any seed is valid");
             let options = options("policy", EstimatorKind::Kalman);
             let envelope = Envelope::of(&scenario);
-            let hunted = hunt(&scenario, &options, Aim::Mildest, envelope, BUDGET).expect("a scripted leader");
+            let hunted =
+                hunt(&scenario, &options, Aim::Mildest, envelope, BUDGET, &mut |_| std::ops::ControlFlow::Continue(()))
+                    .expect("a scripted leader");
             let own = hunted.found.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = Cube::new([KNOTS]).expect("not empty");
             let told = plain.clone().with_leader(0..KNOTS);

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use crumple_search::falsify::campaign::{Campaign, Progress};
+use crumple_search::falsify::campaign::{Campaign, Log, Progress};
 use crumple_search::falsify::{Contrast, Relation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
@@ -58,7 +58,7 @@ pub(crate) fn falsify<'py>(
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = watched(py, &stop, progress.as_ref(), |say| {
-        campaign.run_until(&folder, resume, &mut |state: &Progress| {
+        campaign.run_keeping(Log::Full, &folder, resume, &mut |state: &Progress| {
             say((state.evaluations, total, state.failures));
             if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })

@@ -47,7 +47,7 @@ pub(crate) fn rate<'py>(
     .map_err(|error| wrong(&error))?;
     let (counted, tally) = watched(py, &stop, progress.as_ref(), |say| {
         let mut count = plan.register_in(&folder, resume)?;
-        let counted = count.certificate_until(&mut |done, failed| {
+        let counted = count.certificate(&mut |done, failed| {
             say((done, runs, failed));
             if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use crumple_search::worst_case::{Aim, AttackReport, Envelope, hunt_until};
+use crumple_search::worst_case::{Aim, AttackReport, Envelope, hunt};
 use crumple_world::sim::RunOptions;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -46,7 +46,7 @@ pub(crate) fn worst_case<'py>(
     };
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let result = watched(py, &stop, progress.as_ref(), |say| {
-        hunt_until(&scenario, &options, aim, envelope, budget as usize, &mut |evaluations| {
+        hunt(&scenario, &options, aim, envelope, budget as usize, &mut |evaluations| {
             say((evaluations as u64, u64::from(budget), 0));
             if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })

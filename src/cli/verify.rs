@@ -229,7 +229,10 @@ impl Rate {
         registered();
         go_on();
         let bar = progress::bar("counting", runs, quiet);
-        let certificate = count.certificate(&mut |done| bar.set_position(done));
+        let certificate = count.certificate(&mut |done, _| {
+            bar.set_position(done);
+            std::ops::ControlFlow::Continue(())
+        });
         bar.finish_and_clear();
         let (certificate, path) = match certificate {
             Ok(certificate) => (certificate, count.certificate_path()),

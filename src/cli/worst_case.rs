@@ -69,7 +69,10 @@ impl WorstCase {
             jerk_mps3: self.jerk,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize).map_err(|error| {
+        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize, &mut |_| {
+            std::ops::ControlFlow::Continue(())
+        })
+        .map_err(|error| {
             let place = match error {
                 AttackError::Envelope { .. } if self.jerk > 0.0 => "--max-brake",
                 AttackError::Envelope { .. } => "--jerk",

@@ -52,7 +52,12 @@ fn count(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<()
         confidence: 0.9,
     });
     let (plan, error) = (plan.unwrap(), |error: crumple_search::evidence::RateFolderError| error.to_string());
-    plan.register_in(folder, true).map_err(error)?.certificate(&mut |_| tick()).map(|_| ()).map_err(error)
+    let mut count = plan.register_in(folder, true).map_err(error)?;
+    let certificate = count.certificate(&mut |_, _| {
+        tick();
+        std::ops::ControlFlow::Continue(())
+    });
+    certificate.map(|_| ()).map_err(error)
 }
 
 fn estimate(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {

@@ -8,6 +8,24 @@ use crumple_search::work::{Work, WorkError};
 use crumple_world::digest::Sha256;
 use crumple_world::scenario::Scenario;
 
+pub(super) const REPORT: &str = "report.json";
+pub(super) const TEXT: &str = "report.md";
+pub(super) const PICTURE: &str = "report.svg";
+/// The record of a round, which completes it.
+pub(super) const RECORD: &str = "round.json";
+/// The files of the results.
+pub(super) const POLICY: &str = "policy.safetensors";
+pub(super) const RETRAINED_ON: &str = "retrained-on.json";
+pub(super) const JUDGED_ON: &str = "judged-on.json";
+pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
+pub(super) const SELECTION: &str = "selection.json";
+/// The file of the learner on its way.
+pub(super) const LEARNER: &str = "learner.safetensors";
+/// The list of checkpoints while a training is under way.
+pub(super) const CHECKPOINTS: &str = "checkpoints.json";
+/// The plan.
+pub(super) const PLAN: &str = "retrain.toml";
+
 /// SHA-256 over the JSON of scenarios, one after the other.
 pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>) -> Result<String, RetrainError> {
     let mut digest = Sha256::default();

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::report::{PICTURE, REPORT, Report, TEXT};
-use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON, SELECTION};
+use super::files::{JUDGED_ON, KEPT_ASIDE, PICTURE, PLAN, POLICY, REPORT, RETRAINED_ON, SELECTION, TEXT};
+use super::report::Report;
 use crumple_search::difference;
 use crumple_search::work::{Asked, Work, WorkError};
 
@@ -226,9 +226,6 @@ impl RetrainingPlan {
         }
     }
 }
-
-/// Its file.
-pub(super) const PLAN: &str = "retrain.toml";
 
 #[cfg(test)]
 mod tests {

@@ -5,12 +5,11 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::acceptance::{Change, discordant};
-use super::files::to_json;
+use super::files::{JUDGED_ON, KEPT_ASIDE, PICTURE, POLICY, REPORT, RETRAINED_ON, SELECTION, TEXT, to_json};
 use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
 use super::regression::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
-use super::run::{JUDGED_ON, KEPT_ASIDE, POLICY, RETRAINED_ON, SELECTION};
 use super::{RetrainError, Standing};
 use crumple_search::work::Work;
 use crumple_world::digest::sha256;
@@ -39,10 +38,6 @@ pub struct FileHash {
     /// SHA-256.
     pub sha256: String,
 }
-
-pub(super) const REPORT: &str = "report.json";
-pub(super) const TEXT: &str = "report.md";
-pub(super) const PICTURE: &str = "report.svg";
 
 /// The file `report.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

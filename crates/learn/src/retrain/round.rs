@@ -7,12 +7,11 @@ use serde::{Deserialize, Serialize};
 use super::acceptance::{Acceptance, Change, RejectionReason, rule};
 use super::cases::{Cases, TouchedDraws};
 use super::corpus::{Corpus, classes, drive};
-use super::files::{read_json, write_json};
+use super::files::{LEARNER, RECORD, SELECTION, read_json, write_json};
 use super::judged::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
+use super::progress::{Progress, Show};
 use super::regression::Regression;
-use super::run::{Progress, SELECTION, Show};
-use super::training::LEARNER;
 use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
 use crumple_search::falsify::campaign::{Aim, Campaign};
@@ -283,9 +282,6 @@ impl RoundContext<'_> {
         Ok(round)
     }
 }
-
-/// The record of a round, which completes it.
-pub(super) const RECORD: &str = "round.json";
 
 /// The avoidable draws that select checkpoints.
 pub(super) fn selection(plan: &RetrainingPlan, work: &Work, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {

@@ -4,75 +4,22 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::cases::Cases;
-use super::files::{read_json, write_json};
+use super::files::{
+    CHECKPOINTS, JUDGED_ON, KEPT_ASIDE, LEARNER, PLAN, POLICY, RECORD, REPORT, RETRAINED_ON, read_json, write_json,
+};
 use super::judged::{Judged, witnesses};
-use super::plan::{KEPT_ASIDE_SEED, PLAN, RetrainingPlan};
+use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan};
+use super::progress::Progress;
 use super::regression::Regression;
-use super::report::{Ending, REPORT, Report};
-use super::round::{RECORD, Round, RoundContext, RoundFindings, gathered, in_round, selection};
-use super::training::{CHECKPOINTS, LEARNER};
+use super::report::{Ending, Report};
+use super::round::{Round, RoundContext, RoundFindings, gathered, in_round, selection};
 use super::{RetrainError, Standing};
-use crumple_search::falsify::campaign;
 use crumple_search::work::WorkError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 
-/// How far a retraining is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Progress {
-    /// Draws are classed for a corpus.
-    Gathering {
-        /// Its file.
-        what: &'static str,
-        /// Avoidable ones so far.
-        done: u64,
-        /// How many are wanted.
-        wanted: u64,
-    },
-    /// A campaign is under way.
-    Searching {
-        /// Round, from 1.
-        round: u64,
-        /// How far the campaign is.
-        state: campaign::Progress,
-    },
-    /// Draws of the space are driven and classed.
-    Drawing {
-        /// Round, from 1.
-        round: u64,
-        /// How many.
-        draws: u64,
-    },
-    /// The learner is at work.
-    Training {
-        /// Round, from 1.
-        round: u64,
-        /// Episode of the round, from 1.
-        episode: u64,
-        /// Episodes of the round.
-        episodes: u64,
-        /// Fewest contacts of any checkpoint in the selection.
-        fewest: Option<u64>,
-    },
-    /// A candidate is judged.
-    Judging {
-        /// Round, from 1.
-        round: u64,
-    },
-}
-
-/// What is told of the progress.
-pub(super) type Show<'a> = dyn FnMut(Progress) + 'a;
-
 /// What the policy at the end is called in tables.
 const RETRAINED: &str = "retrained";
-
-/// The files of the results.
-pub(super) const POLICY: &str = "policy.safetensors";
-pub(super) const RETRAINED_ON: &str = "retrained-on.json";
-pub(super) const JUDGED_ON: &str = "judged-on.json";
-pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
-pub(super) const SELECTION: &str = "selection.json";
 
 impl RetrainingPlan {
     /// Runs the retraining in `folder`, or goes on with it where `resume` says so; of a complete one, the report is read.

@@ -4,17 +4,12 @@ use std::sync::Arc;
 
 use super::RetrainError;
 use super::cases::Cases;
-use super::files::{read_json, to_json};
+use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
+use super::progress::{Progress, Show};
 use super::round::{Checkpoint, RoundContext, Trained, in_round};
-use super::run::{Progress, Show};
 use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingError, train};
 use crumple_search::work::WorkError;
 use crumple_world::policy::Policy;
-
-/// The file of the learner on its way.
-pub(super) const LEARNER: &str = "learner.safetensors";
-/// The list of checkpoints while a training is under way.
-pub(super) const CHECKPOINTS: &str = "checkpoints.json";
 
 impl RoundContext<'_> {
     /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
@@ -41,7 +36,7 @@ impl RoundContext<'_> {
         let taken_up = |name: &str, bytes: &[u8], source| {
             let path = self.work.path(name);
             let named = |error: TrainingError| WorkError::Damaged { path, problem: error.to_string() };
-            Trainer::from_checkpoint_with(bytes, &config, seed, source).map_err(named)
+            Trainer::from_checkpoint(bytes, &config, seed, source).map_err(named)
         };
         let name = self.name(LEARNER);
         if let Some(bytes) = self.work.read(&name)? {

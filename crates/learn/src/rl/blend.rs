@@ -5,8 +5,7 @@ use std::sync::Arc;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::config::ConfigError;
-use super::limits::within;
+use super::config_error::{ConfigError, within};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{Space, find_space};

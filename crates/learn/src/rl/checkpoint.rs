@@ -12,7 +12,7 @@ use super::config::TrainingConfig;
 use super::evaluation::Evaluation;
 use super::learner::Trained;
 use super::replay::Replay;
-use super::source::{PaperDraws, ScenarioSource};
+use super::source::ScenarioSource;
 use super::trainer::{Best, Trainer, TrainingError};
 use crumple_search::program::{self, OTHER_BUILD};
 use crumple_world::digest::Sha256;
@@ -147,22 +147,12 @@ impl Trainer {
         safetensors::serialize(arrays, Some([(KEY.to_owned(), text)].into())).map_err(broken)
     }
 
-    /// The training that [`Trainer::to_checkpoint`] wrote, which must have been one of `config` and `seed`; only the
+    /// Reads the training on scenarios of `source` that [`Trainer::to_checkpoint`] wrote. It must be one of `config` and `seed`; only the
     /// number of episodes may differ.
     ///
     /// # Errors
-    /// [`TrainingError::Checkpoint`] for anything else: another build's, another training's, a truncated one, or one whose
-    /// content is not what was written.
-    pub fn from_checkpoint(bytes: &[u8], config: &TrainingConfig, seed: u64) -> Result<Self, TrainingError> {
-        Self::from_checkpoint_with(bytes, config, seed, Arc::new(PaperDraws))
-    }
-
-    /// The training on scenarios of `source` that [`Trainer::to_checkpoint`] wrote; otherwise
-    /// [`Trainer::from_checkpoint`].
-    ///
-    /// # Errors
-    /// Those of [`Trainer::from_checkpoint`], and [`TrainingError::Checkpoint`] if it was of another source.
-    pub fn from_checkpoint_with(
+    /// [`TrainingError::Checkpoint`] for a checkpoint of another build, another training or another source, and for damaged ones.
+    pub fn from_checkpoint(
         bytes: &[u8],
         config: &TrainingConfig,
         seed: u64,

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::blend::{self, SpaceShare};
+use super::config_error::ConfigError;
+use super::costs::CostConfig;
 use super::observation::ObservationConfig;
-use super::privileged::PRIVILEGED;
 use super::replay::Remembered;
-use super::reward::CostConfig;
 use super::single::single;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
@@ -161,10 +161,16 @@ impl LearningConfig {
     }
 }
 
+/// Numbers that a privileged critic sees beside the observation.
+pub(super) const PRIVILEGED: usize = 10;
+
+/// Range of the weight of a penalty that is not 0. Less is lost in the rounding of the loss that it is added to.
+pub(super) const PENALTIES: [f64; 2] = [1e-6, 1e3];
+
 /// Of the schema: a penalty is none, or one that does something.
 #[cfg(feature = "schema")]
 fn penalties() -> serde_json::Value {
-    let [least, most] = super::limits::PENALTIES;
+    let [least, most] = PENALTIES;
     serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
 }
 
@@ -288,55 +294,6 @@ pub const PRESETS: [(&str, &str); 4] = [
     ("paper-net", include_str!("presets/paper-net.toml")),
     ("road", include_str!("presets/road.toml")),
 ];
-
-/// Why a configuration cannot be trained with.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ConfigError {
-    /// No such preset.
-    #[error("there is no preset `{0}`, and no such file; there are fast, paper, paper-net, road")]
-    Unknown(String),
-    /// A text is none: its file, line and field, and what is wrong.
-    #[error("{0}")]
-    Text(String),
-    /// A field contradicts another, or names what cannot be trained on.
-    #[error("{field}: {problem}")]
-    Field {
-        /// Path of the field.
-        field: String,
-        /// What is wrong.
-        problem: String,
-    },
-    /// A number is out of range.
-    #[error("{field}: must be between {low} and {high}, found {found}")]
-    Range {
-        /// Path of the field.
-        field: String,
-        /// The least that it may be.
-        low: f64,
-        /// The most.
-        high: f64,
-        /// What it is.
-        found: f64,
-    },
-}
-
-impl ConfigError {
-    /// With the file and the line of its field, and numbers as they are written there: `found` may have been rounded since.
-    #[must_use]
-    pub fn in_text(self, text: &str, path: &Path) -> Self {
-        let (field, said) = match &self {
-            Self::Unknown(_) | Self::Text(_) => return self,
-            Self::Field { field, .. } => (field, self.to_string()),
-            Self::Range { field, low, high, .. } => {
-                let written = file::written_in_toml(text, field);
-                let written = written.map(|found| format!("{field}: must be between {low} and {high}, found {found}"));
-                (field, written.unwrap_or_else(|| self.to_string()))
-            }
-        };
-        Self::Text(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
-    }
-}
 
 impl TrainingConfig {
     /// A committed preset.

@@ -6,14 +6,11 @@ use std::sync::Arc;
 
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::Earnings;
-use super::source::ScenarioSource;
+use super::source::{EGO, ScenarioSource};
 use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Moment, Motion, RecordingLevel, Run, Stepper};
-
-/// Index of the vehicle the agent drives.
-pub(super) const EGO: usize = 1;
 
 /// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
 /// then chosen to stay where it is more than once.

@@ -72,12 +72,10 @@ impl<'a> TrainingFolder<'a> {
         let work = opened(out, config, seed, resume)?;
         let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.source()?);
         let trainer = match checkpoint {
-            Some(bytes) => {
-                Trainer::from_checkpoint_with(&bytes, config, seed, source).map_err(|error| match error {
-                    TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
-                    other => other,
-                })?
-            }
+            Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(|error| match error {
+                TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
+                other => other,
+            })?,
             None => Trainer::with_source(config, seed, source),
         };
         let before = work.read(LOG)?.unwrap_or_default();

@@ -1,7 +1,8 @@
 //! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
 
 use super::blend;
-use super::config::{ConfigError, TRAINING_VERSION, TrainingConfig};
+use super::config::{PENALTIES, TRAINING_VERSION, TrainingConfig};
+use super::config_error::{ConfigError, within};
 use crumple_world::policy::Departure;
 
 /// Most hidden layers.
@@ -15,19 +16,6 @@ const NETWORK_COPIES: u64 = 34;
 const BATCH_COPIES: u64 = 8;
 /// Bytes of a held-out scenario with its run: 2200 to 2700 as measured.
 const DRAW_BYTES: u64 = 2600;
-
-/// Refuses a number that is not within its range.
-pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
-    if (low..=high).contains(&found) {
-        Ok(())
-    } else {
-        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
-    }
-}
-
-/// Weights of a penalty that is not 0. What is less is lost in the rounding of what it is added to, and somebody may have meant it to do
-/// something.
-pub(super) const PENALTIES: [f64; 2] = [1e-6, 1e3];
 
 fn penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
     let (weight, [least, most]) = (f64::from(weight), PENALTIES);

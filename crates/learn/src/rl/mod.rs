@@ -12,6 +12,8 @@ mod backprop;
 mod blend;
 mod checkpoint;
 mod config;
+mod config_error;
+mod costs;
 mod curve;
 mod environment;
 mod evaluation;
@@ -34,9 +36,11 @@ pub use blend::{SpaceShare, WeightedSpaces};
 #[cfg(feature = "schema")]
 pub use config::json_schema;
 pub use config::{
-    ConfigError, EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS,
-    RatesFall, ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
+    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS, RatesFall,
+    ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
+pub use config_error::ConfigError;
+pub use costs::CostConfig;
 pub use curve::{episode_of, learning_curve};
 pub use environment::{Consequence, Ending, Episode, Terms, bounds};
 pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
@@ -44,7 +48,6 @@ pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};
 pub use observation::{Inputs, ObservationConfig, Scale};
 pub use replay::{Batch, Remembered, Replay, Transition};
-pub use reward::CostConfig;
 pub use seeds::{Event, Observer, side_by_side, train};
 pub use shard::{GatherError, MergedTrainings, TrainingShard, is_of_trainings};
 pub use source::{Blend, Mixed, PaperDraws, ScenarioSource, unsuited};

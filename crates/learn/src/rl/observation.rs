@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::config::ConfigError;
+use super::config_error::ConfigError;
 use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
 
 /// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.

@@ -4,13 +4,12 @@
 //! by the mean over all scenarios that look alike at the moment; the actor, which sees what it sees, still gets the mean of what
 //! they say (asymmetric actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
 
-use super::environment::{EGO, Episode};
+use super::config::PRIVILEGED;
+use super::environment::Episode;
 use super::reward::FULL_BRAKE_MPS2;
+use super::source::EGO;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
-
-/// Numbers that a critic knows besides.
-pub(super) const PRIVILEGED: usize = 10;
 
 /// How far ahead the leader's script is known, in seconds.
 const AHEAD_S: [f64; 2] = [1.0, 3.0];

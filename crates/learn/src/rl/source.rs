@@ -7,10 +7,12 @@ use rand::RngExt;
 
 use crumple_world::digest::{Sha256, sha256};
 
-use super::environment::EGO;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
+
+/// Index of the vehicle the agent drives.
+pub(super) const EGO: usize = 1;
 
 /// Something to draw scenarios from, one an episode.
 pub trait ScenarioSource: Debug + Send + Sync {

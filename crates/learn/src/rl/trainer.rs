@@ -6,7 +6,8 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::config::{ConfigError, TimeLimit, TrainingConfig};
+use super::config::{TimeLimit, TrainingConfig};
+use super::config_error::ConfigError;
 use super::environment::{Ending, Episode, Terms, bounds};
 use super::evaluation::{Evaluation, HeldOut};
 use super::learner::{Learner, Losses};

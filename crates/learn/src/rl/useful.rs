@@ -9,7 +9,7 @@ use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
-use super::environment::EGO;
+use super::source::EGO;
 
 /// Root mean squares of acceleration and jerk may be this many times those of `idm`.
 const MOST_TIMES_IDM: f64 = 1.25;

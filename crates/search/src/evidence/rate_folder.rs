@@ -203,23 +203,12 @@ impl<'a> Counting<'a> {
 }
 
 impl RateCount<'_> {
-    /// Counts what is left, and writes the certificate. `progress` hears how many runs are done, after every thousand.
+    /// Counts the remaining runs and writes the certificate. `progress` receives, after every thousand runs, the number of runs and of failed
+    /// runs. If it breaks the count off, the folder keeps what was counted.
     ///
     /// # Errors
-    /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown.
-    pub fn certificate(&mut self, progress: &mut dyn FnMut(u64)) -> Result<Certificate, RateFolderError> {
-        self.certificate_until(&mut |runs, _| {
-            progress(runs);
-            ControlFlow::Continue(())
-        })
-    }
-
-    /// The same until `progress`, which hears how many runs are done and how many of them failed, breaks it off: what was counted by then
-    /// stays in the folder, for another time.
-    ///
-    /// # Errors
-    /// As [`Self::certificate`], and [`RateError::BrokenOff`].
-    pub fn certificate_until(
+    /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::BrokenOff`].
+    pub fn certificate(
         &mut self,
         progress: &mut dyn FnMut(u64, u64) -> ControlFlow<()>,
     ) -> Result<Certificate, RateFolderError> {
@@ -280,14 +269,14 @@ mod tests {
     #[test]
     fn an_interrupted_count_ends_with_the_same_files() {
         let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
-        plan.register_in(whole.path(), false).unwrap().certificate(&mut |_| ()).unwrap();
+        plan.register_in(whole.path(), false).unwrap().certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
         let part = interrupted(&plan, |_| ());
         let error =
             |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
         assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
         let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
-        plan.register_in(part.path(), true).unwrap().certificate(&mut |_| ()).unwrap();
+        plan.register_in(part.path(), true).unwrap().certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
         for name in [REGISTRATION, PROGRESS, CERTIFICATE, crate::work::MANIFEST] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");

@@ -204,28 +204,15 @@ pub fn attack(
     envelope: Envelope,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
-    Ok(hunt(scenario, options, aim, envelope, budget)?.found)
+    Ok(hunt(scenario, options, aim, envelope, budget, &mut |_| ControlFlow::Continue(()))?.found)
 }
 
-/// What [`attack()`] finds, with what was spent whether or not there is a result.
-///
-/// # Errors
-/// Those of [`attack()`].
-pub fn hunt(
-    scenario: &Scenario,
-    options: &RunOptions,
-    aim: Aim,
-    envelope: Envelope,
-    budget: usize,
-) -> Result<AttackResult, AttackError> {
-    hunt_until(scenario, options, aim, envelope, budget, &mut |_| ControlFlow::Continue(()))
-}
-
-/// The same until `told` breaks it off, which hears how many simulations were made.
+/// Searches as [`attack()`] does, and returns the effort even without a result. `told` receives the number of simulations and may end the
+/// search.
 ///
 /// # Errors
 /// Those of [`attack()`], and [`AttackError::BrokenOff`].
-pub fn hunt_until(
+pub fn hunt(
     scenario: &Scenario,
     options: &RunOptions,
     aim: Aim,

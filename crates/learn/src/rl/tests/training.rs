@@ -59,7 +59,7 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
             }
         }
         let bytes = first.to_checkpoint().unwrap();
-        let mut second = Trainer::from_checkpoint(&bytes, &config, 8).unwrap();
+        let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperDraws)).unwrap();
         train(&mut second, &held_out, &mut events).unwrap();
         assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
         assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
@@ -72,15 +72,18 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
 fn checkpoints_of_another_training_are_refused() {
     let config = small();
     let bytes = Trainer::new(&config, 1).to_checkpoint().unwrap();
-    assert!(Trainer::from_checkpoint(&bytes, &config, 1).is_ok());
+    assert!(Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperDraws)).is_ok());
     let mut other = config.clone();
     other.learning.batch = 17;
     for (config, seed) in [(&config, 2), (&other, 1)] {
-        assert!(matches!(Trainer::from_checkpoint(&bytes, config, seed), Err(TrainingError::Checkpoint(_))));
+        assert!(matches!(
+            Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperDraws)),
+            Err(TrainingError::Checkpoint(_))
+        ));
     }
-    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1).is_err());
+    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperDraws)).is_err());
     let says = |bytes: &[u8], words: &str| {
-        let error = Trainer::from_checkpoint(bytes, &config, 1).err().unwrap().to_string();
+        let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperDraws)).err().unwrap().to_string();
         assert!(error.contains(words), "{error}");
     };
     // Any byte of the arrays, and numbers of the header that no array depends on.
@@ -109,10 +112,10 @@ fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
     trainer.run_episode().unwrap();
     assert!(trainer.policy().unwrap().header().training["scenarios"].as_str().unwrap().contains("0.5 of 1 cases"));
     let bytes = trainer.to_checkpoint().unwrap();
-    assert!(Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-1")).is_ok());
+    assert!(Trainer::from_checkpoint(&bytes, &config, 1, source("paper-1")).is_ok());
     for refused in [
-        Trainer::from_checkpoint(&bytes, &config, 1),
-        Trainer::from_checkpoint_with(&bytes, &config, 1, source("paper-2")),
+        Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperDraws)),
+        Trainer::from_checkpoint(&bytes, &config, 1, source("paper-2")),
     ] {
         assert!(refused.err().unwrap().to_string().contains("it is of a training on a share of 0.5"));
     }

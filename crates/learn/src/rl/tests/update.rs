@@ -2,7 +2,7 @@
 
 use rand::{RngExt, SeedableRng};
 
-use crate::rl::privileged::PRIVILEGED;
+use crate::rl::config::PRIVILEGED;
 use crate::rl::*;
 use crumple_world::policy::STATE;
 use crumple_world::random::{Purpose, Stream, stream};

@@ -23,7 +23,7 @@ use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, Sto
 use crumple_search::disk::DiskError;
 use crumple_search::evidence::RateInterval;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_search::falsify::campaign::{Aim, Campaign, Log, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
@@ -387,7 +387,7 @@ pub(super) fn searched(
     work.get(item, inputs, || {
         let folder = work.store.workplace(item, inputs)?;
         let (goes_on, mut done) = (campaign.controller.kind.identity().is_some(), 0);
-        let summary = campaign.run_until(folder.path(), goes_on, &mut |progress| {
+        let summary = campaign.run_keeping(Log::Full, folder.path(), goes_on, &mut |progress| {
             let more = progress.evaluations - done;
             done = progress.evaluations;
             if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }

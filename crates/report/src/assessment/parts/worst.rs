@@ -228,7 +228,8 @@ impl WorstProfile {
         plan: &AssessmentPlan,
     ) -> Result<Self, AssessError> {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-        let AttackResult { found, evaluations, programs } = hunt(scenario, &options, Aim::Mildest, envelope, BUDGET)?;
+        let AttackResult { found, evaluations, programs } =
+            hunt(scenario, &options, Aim::Mildest, envelope, BUDGET, &mut |_| std::ops::ControlFlow::Continue(()))?;
         let mildest = match found {
             Some(attack) => Mildest::of(attack, controller, plan)?,
             None => None,

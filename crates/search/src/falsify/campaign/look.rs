@@ -293,7 +293,7 @@ impl Following {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{Aim, Campaign};
+    use crate::falsify::campaign::{Aim, Campaign, Log};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
     use std::fs;
@@ -329,7 +329,7 @@ mod tests {
             let mut seen = Vec::new();
             let mut told = 0;
             let summary = campaign
-                .run_until(&folder, false, &mut |progress| {
+                .run_keeping(Log::Full, &folder, false, &mut |progress| {
                     told += 1;
                     // As it writes: now and then, beginning in its middle too.
                     if told % 5 == 2 {

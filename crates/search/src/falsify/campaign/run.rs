@@ -65,29 +65,17 @@ impl Campaign {
         resume: bool,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<Summary, CampaignError> {
-        self.run_until(folder, resume, &mut |state| {
+        self.run_keeping(Log::Full, folder, resume, &mut |state| {
             progress(state);
             ControlFlow::Continue(())
         })
     }
 
-    /// The same until `progress` breaks it off: what was evaluated by then stays in the folder, for `resume`.
+    /// Runs the campaign as [`Self::run`] does, with `log` for the evaluations. If `progress` breaks it off, the folder keeps the evaluations for
+    /// `resume`.
     ///
     /// # Errors
     /// As [`Self::run`], and [`CampaignError::BrokenOff`].
-    pub fn run_until(
-        &self,
-        folder: &Path,
-        resume: bool,
-        progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
-    ) -> Result<Summary, CampaignError> {
-        self.run_keeping(Log::Full, folder, resume, progress)
-    }
-
-    /// The same, with more or less kept of the evaluations themselves.
-    ///
-    /// # Errors
-    /// As [`Self::run_until`].
     pub fn run_keeping(
         &self,
         log: Log,

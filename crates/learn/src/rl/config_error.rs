@@ -1,0 +1,63 @@
+//! Errors of a training configuration, with the field.
+
+use std::path::Path;
+
+use crumple_world::scenario::file;
+
+/// A reason why a configuration cannot be trained with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// No such preset.
+    #[error("there is no preset `{0}`, and no such file; there are fast, paper, paper-net, road")]
+    Unknown(String),
+    /// A text is none: its file, line and field, and what is wrong.
+    #[error("{0}")]
+    Text(String),
+    /// A field contradicts another, or names what cannot be trained on.
+    #[error("{field}: {problem}")]
+    Field {
+        /// Path of the field.
+        field: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A number is out of range.
+    #[error("{field}: must be between {low} and {high}, found {found}")]
+    Range {
+        /// Path of the field.
+        field: String,
+        /// The least that it may be.
+        low: f64,
+        /// The most.
+        high: f64,
+        /// What it is.
+        found: f64,
+    },
+}
+
+impl ConfigError {
+    /// With the file and the line of its field, and numbers as they are written there: `found` may have been rounded since.
+    #[must_use]
+    pub fn in_text(self, text: &str, path: &Path) -> Self {
+        let (field, said) = match &self {
+            Self::Unknown(_) | Self::Text(_) => return self,
+            Self::Field { field, .. } => (field, self.to_string()),
+            Self::Range { field, low, high, .. } => {
+                let written = file::written_in_toml(text, field);
+                let written = written.map(|found| format!("{field}: must be between {low} and {high}, found {found}"));
+                (field, written.unwrap_or_else(|| self.to_string()))
+            }
+        };
+        Self::Text(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
+    }
+}
+
+/// Refuses a number that is not within its range.
+pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
+    if (low..=high).contains(&found) {
+        Ok(())
+    } else {
+        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
+    }
+}

@@ -1,0 +1,166 @@
+//! Costs of driving in the reward.
+
+use serde::{Deserialize, Serialize};
+
+/// Largest weight.
+const MOST_WEIGHT: f64 = 100.0;
+
+/// What a step costs, as a share of the step's reward: a step without contact earns
+/// `step_reward * (1 - sum of weight * term)`. Every weight is 0 unless it is given.
+///
+/// | weight | its term, from the true state after the step |
+/// |---|---|
+/// | `far` | (gap - wanted) / wanted, from 0 to 1: falling behind |
+/// | `near` | (wanted - gap) / wanted, from 0 to 1: following closely |
+/// | `relative_speed` | difference of speed from the vehicle ahead / 10 m/s, at most 1 |
+/// | `acceleration` | (acceleration / 7.5 m/s²)² |
+/// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
+/// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
+/// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`](crumple_world::measure::caused_brake_mps2)) / 7.5 m/s² |
+/// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 |
+///
+/// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
+pub struct CostConfig {
+    /// Wanted gap at a standstill, in metres.
+    pub standstill_m: f64,
+    /// Wanted time headway beyond it, in seconds.
+    pub headway_s: f64,
+    /// Weight of falling behind.
+    pub far: f64,
+    /// Weight of following closely.
+    pub near: f64,
+    /// Weight of a difference of speed from the vehicle ahead.
+    pub relative_speed: f64,
+    /// Weight of acceleration.
+    pub acceleration: f64,
+    /// Weight of jerk.
+    pub jerk: f64,
+    /// Weight of braking imposed on the vehicle behind.
+    pub imposed: f64,
+    /// Weight of braking without cause.
+    pub needless: f64,
+    /// Weight of departing from the law that the action is relative to.
+    #[serde(skip_serializing_if = "is_nothing")]
+    pub departure: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_nothing(weight: &f64) -> bool {
+    *weight == 0.0
+}
+
+impl Default for CostConfig {
+    fn default() -> Self {
+        Self {
+            standstill_m: 2.0,
+            headway_s: 1.3,
+            far: 0.0,
+            near: 0.0,
+            relative_speed: 0.0,
+            acceleration: 0.0,
+            jerk: 0.0,
+            imposed: 0.0,
+            needless: 0.0,
+            departure: 0.0,
+        }
+    }
+}
+
+impl CostConfig {
+    /// Name and value of every weight.
+    fn weights(&self) -> [(&'static str, f64); 8] {
+        [
+            ("environment.costs.far", self.far),
+            ("environment.costs.near", self.near),
+            ("environment.costs.relative_speed", self.relative_speed),
+            ("environment.costs.acceleration", self.acceleration),
+            ("environment.costs.jerk", self.jerk),
+            ("environment.costs.imposed", self.imposed),
+            ("environment.costs.needless", self.needless),
+            ("environment.costs.departure", self.departure),
+        ]
+    }
+
+    /// Every number, its name and its range.
+    pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
+        let wanted = [
+            ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
+            ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
+        ];
+        let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MOST_WEIGHT]));
+        wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
+    }
+
+    /// Whether nothing costs anything: the paper's reward.
+    #[must_use]
+    pub fn is_free(&self) -> bool {
+        self.weights().iter().all(|(_, weight)| *weight == 0.0)
+    }
+
+    /// With every weight so many times as large.
+    pub(super) fn times(&self, times: f64) -> Self {
+        let Self {
+            standstill_m,
+            headway_s,
+            far,
+            near,
+            relative_speed,
+            acceleration,
+            jerk,
+            imposed,
+            needless,
+            departure,
+        } = *self;
+        Self {
+            standstill_m,
+            headway_s,
+            far: far * times,
+            near: near * times,
+            relative_speed: relative_speed * times,
+            acceleration: acceleration * times,
+            jerk: jerk * times,
+            imposed: imposed * times,
+            needless: needless * times,
+            departure: departure * times,
+        }
+    }
+
+    /// About the largest cost of a step, as a share of its reward.
+    pub(super) fn largest(&self) -> f64 {
+        self.weights().iter().map(|(_, weight)| weight).sum()
+    }
+
+    /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
+    fn of(&self, now: &Moment<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
+        let motion = now.motion;
+        let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
+        else {
+            return 0.0;
+        };
+        let wanted_m = self.standstill_m + self.headway_s * ego.speed_mps;
+        let off = (gap_m - wanted_m) / wanted_m;
+        let brake_mps2 = -ego.acceleration_mps2;
+        let state = State {
+            time_s: 0.0,
+            gap_m: gap_m.max(0.0),
+            front_speed_mps: front.speed_mps,
+            rear_speed_mps: ego.speed_mps,
+            front_acceleration_mps2: front.acceleration_mps2,
+            rear_acceleration_mps2: ego.acceleration_mps2,
+        };
+        let imposed_mps2 =
+            motion.get(EGO + 1).map_or(0.0, |behind| -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0));
+        self.far * off.clamp(0.0, 1.0)
+            + self.near * (-off).clamp(0.0, 1.0)
+            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_DIFFERENCE_MPS).min(1.0)
+            + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
+            + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
+            + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
+            + self.needless * (brake_mps2 - caused_brake_mps2(&state) - NEEDLESS_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
+            + self.departure * departure
+    }
+}
