@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use crumple_report::assessment::{
     self as report, AssessConfig, AssessmentPlan, ConfigError, Earlier, Store, assess_until,
 };
-use crumple_search::program;
+use crumple_store::program;
 use crumple_world::scenario::file;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};

@@ -41,7 +41,7 @@ impl Figure {
         if path.extension().is_none_or(|extension| extension != "svg") {
             return Err(PyValueError::new_err(format!("{}: a figure is saved as .svg", path.display())));
         }
-        Ok(crumple_search::disk::write(&path, &self.svg).map_err(std::io::Error::other)?)
+        Ok(crumple_store::disk::write(&path, &self.svg).map_err(std::io::Error::other)?)
     }
 
     fn _repr_svg_(&self) -> &str {

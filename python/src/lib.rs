@@ -54,7 +54,7 @@ mod _crumple {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let leave = wrap_pyfunction!(crate::watched::leave, module)?;
         module.py().import("atexit")?.call_method1("register", (leave,))?;
-        crumple_search::program::loaded_from(module.filename()?.extract::<PathBuf>()?);
+        crumple_store::program::loaded_from(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }
 }

@@ -15,10 +15,10 @@ use crumple_report::assessment::{
     AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, Made, MergedEvidence, REPORT,
     Store, StoreError, assess, gather_shard,
 };
-use crumple_search::disk::DiskError;
-use crumple_search::program;
-use crumple_search::shard::{MissingShards, Shard};
-use crumple_search::work;
+use crumple_store::disk::DiskError;
+use crumple_store::program;
+use crumple_store::shard::{MissingShards, Shard};
+use crumple_store::work;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]

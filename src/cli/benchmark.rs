@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use super::cruise::Cruise;
 use super::simulate::Format;
 use super::{Failure, output};
-use crumple_search::disk::{DiskError, Files};
+use crumple_store::disk::{DiskError, Files};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
 

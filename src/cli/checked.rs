@@ -5,7 +5,7 @@ use std::path::Path;
 use crumple_search::evidence::{Confirmation, left_out};
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
 use crumple_verify::{Accepted, Certificate, Scope, Statement, check};
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;

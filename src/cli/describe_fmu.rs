@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, output};
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 
 /// An FMU, for programs.
 #[derive(Serialize)]

@@ -58,7 +58,7 @@ impl Doctor {
             register_bits: 64 * crumple_world::policy::doubles_at_once(),
             fused_multiply_add: crumple_world::policy::fuses_multiply_add(),
             threads: rayon::current_num_threads(),
-            program_sha256: crumple_search::program::identity().ok(),
+            program_sha256: crumple_store::program::identity().ok(),
             features: FEATURES,
             needs: needs(),
         };

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, choice, output, subject};
-use crumple_search::disk::DiskError;
+use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

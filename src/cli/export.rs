@@ -12,7 +12,7 @@ use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecords;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 

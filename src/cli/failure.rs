@@ -7,8 +7,8 @@ use std::process::ExitCode;
 
 use super::output;
 use crumple_report::assessment::ConfigError;
-use crumple_search::disk::DiskError;
-use crumple_search::work::WorkError;
+use crumple_store::disk::DiskError;
+use crumple_store::work::WorkError;
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{RefusedController, RunError};

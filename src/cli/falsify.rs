@@ -12,7 +12,7 @@ use crumple_search::falsify::campaign::{
     Aim, Campaign, CampaignError, Log, MergedCampaign, MethodSummary, Progress, ShardDone, Summary,
 };
 use crumple_search::falsify::{Contrast, Method, Relation, non_finite};
-use crumple_search::shard::Shard;
+use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, UnknownSpace, find_space};

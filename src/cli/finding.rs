@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::Failure;
 use super::output;
 use super::simulate::{self, Format};
-use crumple_search::disk::Files;
+use crumple_store::disk::Files;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::Simulated;
 

@@ -13,8 +13,8 @@ use super::simulate::Format;
 use super::{feature, output, simulate};
 use crumple_report::draw::Svg;
 use crumple_report::figures;
-use crumple_search::disk::{DiskError, Files};
-use crumple_world::quoted::Terminal;
+use crumple_store::disk::{DiskError, Files};
+use crumple_core::quoted::Terminal;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
     ImportOptions, Imported, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,

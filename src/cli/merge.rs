@@ -14,10 +14,10 @@ use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
 use crumple_search::evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
 use crumple_search::falsify::campaign::{MergedCampaign, SHARD_OF_A_CAMPAIGN};
-use crumple_search::shard::{MergeError, as_array};
+use crumple_store::shard::{MergeError, as_array};
 use crumple_search::suite::{MergedSuite, SHARD_OF_A_SUITE};
-use crumple_search::work::{Finished, Found, find};
-use crumple_world::digits;
+use crumple_store::work::{Finished, Found, find};
+use crumple_core::digits;
 
 /// Put shards together that were made on several machines (see --shard)
 #[derive(Args)]

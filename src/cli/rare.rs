@@ -10,10 +10,10 @@ use super::{Failure, exposed, interrupt, output, progress};
 use crumple_search::evidence::rare::{
     Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareError, RareFolder, RareMethod, RarePlan, RareReport,
 };
-use crumple_search::shard::{MissingShards, Shard};
-use crumple_world::digits;
+use crumple_store::shard::{MissingShards, Shard};
+use crumple_core::digits;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 
 /// Estimates, writes the estimate to `folder` and prints it; with `resume` goes on with what is there, which may be all of it.
 pub(super) fn estimate(

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_search::disk::Files;
+use crumple_store::disk::Files;
 use crumple_verify::{Accepted, Certificate, WorkLimit, check_within};
 use serde::Serialize;
 

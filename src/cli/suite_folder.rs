@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{Failure, output};
-use crumple_search::disk::DiskError;
+use crumple_store::disk::DiskError;
 use crumple_search::suite::{Failed, SuiteResult, Tested};
 use crumple_world::scenario::file;
 

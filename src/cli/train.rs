@@ -15,9 +15,9 @@ use crumple_learn::rl::{
     ConfigError, Event, GatherError, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
     TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
 };
-use crumple_search::disk;
-use crumple_search::shard::{MissingShards, Shard, as_array};
-use crumple_search::work;
+use crumple_store::disk;
+use crumple_store::shard::{MissingShards, Shard, as_array};
+use crumple_store::work;
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]

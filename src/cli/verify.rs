@@ -14,7 +14,7 @@ use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject}
 use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
-use crumple_search::shard::Shard;
+use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;

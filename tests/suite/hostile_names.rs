@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crumple_world::policy::Policy;
-use crumple_world::quoted::is_hidden;
+use crumple_core::quoted::is_hidden;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use pulldown_cmark::{Event, Options, Parser, Tag};
@@ -92,7 +92,7 @@ fn reports_show_hostile_names_as_text() {
         }
     }
     saphyr::Yaml::load_from_str(&text("assessment.gsn.yaml")).expect("YAML");
-    assert_shown("the first page", &crumple_world::quoted::Lines(&assessment.first_page.plain()).to_string());
+    assert_shown("the first page", &crumple_core::quoted::Lines(&assessment.first_page.plain()).to_string());
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");

@@ -96,7 +96,7 @@ fn the_committed_report_is_current() {
         if name == "work.json" {
             // It says when, too, in what it says of the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
-            let found = crumple_search::work::examine(&reports).expect("it has a manifest");
+            let found = crumple_store::work::examine(&reports).expect("it has a manifest");
             assert!(found.is_whole() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
         } else if name.ends_with(".safetensors") {
             let there = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name));

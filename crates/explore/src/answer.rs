@@ -3,7 +3,7 @@
 use std::sync::{Mutex, TryLockError};
 
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 use crumple_world::scenario::ScenarioSpec;
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};

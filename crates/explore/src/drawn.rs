@@ -2,7 +2,7 @@
 
 use crumple_report::draw::{self, Layout, MotionAxes, MotionFigure, motion_on, vehicle_names};
 use crumple_world::measure::NeedlessBraking;
-use crumple_world::quoted::{Lines, Terminal};
+use crumple_core::quoted::{Lines, Terminal};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario};
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use maud::html;

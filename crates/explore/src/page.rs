@@ -3,7 +3,7 @@
 use crumple_report::PAGE_STYLE;
 use crumple_report::draw::{self, ANIMATION_SCRIPT, ANIMATION_STYLE};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};

@@ -4,7 +4,7 @@ use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use crumple_world::quoted::{ShellWord, Terminal};
+use crumple_core::quoted::{ShellWord, Terminal};
 use crumple_world::scenario::{Scenario, file};
 use serde::Serialize;
 

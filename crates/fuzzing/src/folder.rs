@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Progress};
-use crumple_search::work::{Examined, examine};
+use crumple_store::work::{Examined, examine};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;

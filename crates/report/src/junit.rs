@@ -4,7 +4,7 @@ use std::fmt::{self, Display, Write};
 
 use quick_xml::escape::escape;
 
-use crumple_world::quoted::Lines;
+use crumple_core::quoted::Lines;
 
 /// Result of a test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

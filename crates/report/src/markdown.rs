@@ -5,7 +5,7 @@
 
 use std::fmt::Display;
 
-use crumple_world::quoted::{MarkdownCode, MarkdownText};
+use crumple_core::quoted::{MarkdownCode, MarkdownText};
 
 /// A text in Markdown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

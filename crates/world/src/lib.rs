@@ -4,9 +4,6 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`digest`] | SHA-256, as it stands in files and reports |
-//! | [`digits`] | numbers with few significant digits, for readers |
-//! | [`quoted`] | what users wrote, as it goes out: to a terminal, into Markdown, to a shell |
 //! | [`random`] | seeded streams: one seed decides everything |
 //! | [`observation`] | what a controller may see |
 //! | `settings` | settings of controllers: numbers with a default, a range and a usual range |
@@ -22,8 +19,6 @@
 //! | `recording` | recorded traffic turned into scenarios (a feature) |
 
 pub mod control;
-pub mod digest;
-pub mod digits;
 pub mod estimate;
 mod idm;
 pub mod measure;
@@ -31,7 +26,6 @@ pub mod network;
 pub mod observation;
 pub mod policy;
 pub mod process;
-pub mod quoted;
 pub mod random;
 #[cfg(feature = "recording")]
 pub mod recording;

@@ -12,7 +12,7 @@ use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Aim;
-use crumple_search::jobs::Engine;
+use crumple_store::jobs::Engine;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::Space;

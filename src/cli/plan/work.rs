@@ -8,7 +8,7 @@ use super::Plan;
 use crate::cli::{Failure, output, subject};
 use crumple_search::evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::campaign::Campaign;
-use crumple_search::shard::Shard;
+use crumple_store::shard::Shard;
 use crumple_world::control::is_external_allowed;
 
 /// What is planned, as it stands in `plan.json`.

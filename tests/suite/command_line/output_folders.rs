@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use super::{assert_refused, code, crumple, folder, names_in, stderr};
-use crumple_search::disk::Files;
+use crumple_store::disk::Files;
 
 const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
 const RECORDING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
@@ -172,7 +172,7 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     }
     symlink("../../mine", at("report/counterexamples/deep")).unwrap();
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
-    let digest = crumple_world::digest::sha256("precious");
+    let digest = crumple_core::digest::sha256("precious");
     let list = |names: &[&str]| {
         let lines: String = names.iter().map(|name| format!("{digest}  {name}\n")).collect();
         fs::write(at("report/report.sha256"), lines).unwrap();

@@ -39,7 +39,7 @@ fn retrain<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
 }
 
 fn sha256(path: &Path) -> String {
-    crumple_world::digest::sha256(fs::read(path).unwrap())
+    crumple_core::digest::sha256(fs::read(path).unwrap())
 }
 
 #[test]

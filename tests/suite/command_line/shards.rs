@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 
 use super::{assert_refused, code, crumple, folder, names_in, objects, stderr, stdout};
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::{built_in, file};
 use tempfile::TempDir;
 

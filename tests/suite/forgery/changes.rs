@@ -3,7 +3,7 @@
 
 use crumple_verify::Certificate;
 use crumple_verify::certificate::FIRST_VERSION;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::Scenario;
 use rand::RngExt;
 use rand::seq::IndexedRandom;

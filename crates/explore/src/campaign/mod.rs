@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{CampaignError, Evaluated, Look, MOST_SHOWN};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed};
-use crumple_world::quoted::{Lines, Terminal};
+use crumple_core::quoted::{Lines, Terminal};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Standing;
 use super::regression::{InSpace, SIGNIFICANCE};
 use crumple_search::evidence::Discordant;
-use crumple_world::digits::nearest;
+use crumple_core::digits::nearest;
 
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

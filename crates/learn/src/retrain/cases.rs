@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::corpus::CORPUS_VERSION;
 use super::files::scenarios_sha256;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::space::Space;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 

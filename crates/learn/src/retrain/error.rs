@@ -1,9 +1,9 @@
 //! Why a retraining stops.
 
 use crate::rl::TrainingError;
-use crumple_search::disk::DiskError;
+use crumple_store::disk::DiskError;
 use crumple_search::falsify::campaign::CampaignError;
-use crumple_search::work::WorkError;
+use crumple_store::work::WorkError;
 use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;

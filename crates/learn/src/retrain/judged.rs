@@ -9,7 +9,7 @@ use super::corpus::Corpus;
 use super::files::{read_json, write_json};
 use super::plan::{JUDGED_SEED, RetrainingPlan};
 use crumple_search::evidence::RateInterval;
-use crumple_search::work::Work;
+use crumple_store::work::Work;
 use crumple_world::sim::{Contact, NamedController};
 
 /// Confidence of the intervals in reports.

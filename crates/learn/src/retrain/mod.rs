@@ -26,7 +26,7 @@
 //! | `judged-on.json` | the draws it was judged on, and what each controller did in them |
 //! | `report.md`, `report.json`, `report.svg` | what each round found, fixed and broke, with the hashes of all these files |
 //! | `rounds/NN/` | the campaign, the candidate and the record of each round |
-//! | `work.json` | what the others are ([`crumple_search::work`]), and until it is complete the program at work, for no other build goes on with it |
+//! | `work.json` | what the others are ([`crumple_store::work`]), and until it is complete the program at work, for no other build goes on with it |
 //!
 //! One seed decides everything, whatever the number of threads and whether or not it was interrupted.
 

@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::files::{JUDGED_ON, KEPT_ASIDE, PICTURE, PLAN, POLICY, REPORT, RETRAINED_ON, SELECTION, TEXT};
 use super::report::Report;
-use crumple_search::difference;
-use crumple_search::work::{Asked, Work, WorkError};
+use crumple_store::difference;
+use crumple_store::work::{Asked, Work, WorkError};
 
 use crate::rl::{ConfigError, TrainingConfig, bounds};
 use crumple_search::falsify::Method;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;

@@ -16,7 +16,7 @@ use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
 use crumple_search::falsify::campaign::{Aim, Campaign};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_search::work::{Work, WorkError};
+use crumple_store::work::{Work, WorkError};
 use crumple_world::measure::Specification;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};

@@ -14,7 +14,7 @@ use super::regression::Regression;
 use super::report::{Ending, Report};
 use super::round::{Round, RoundContext, RoundFindings, gathered, in_round, selection};
 use super::{RetrainError, Standing};
-use crumple_search::work::WorkError;
+use crumple_store::work::WorkError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 

@@ -8,7 +8,7 @@ use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
 use super::progress::{Progress, Show};
 use super::round::{Checkpoint, RoundContext, Trained, in_round};
 use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingError, train};
-use crumple_search::work::WorkError;
+use crumple_store::work::WorkError;
 use crumple_world::policy::Policy;
 
 impl RoundContext<'_> {

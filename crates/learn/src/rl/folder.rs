@@ -11,9 +11,9 @@ use super::curve::{episode_of, judged_after};
 use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
 use super::seeds::{Event, Observer, train};
 use super::trainer::{Trainer, TrainingError};
-use crumple_search::difference;
-use crumple_search::disk::DiskError;
-use crumple_search::work::{Asked, MANIFEST, Work, WorkError};
+use crumple_store::difference;
+use crumple_store::disk::DiskError;
+use crumple_store::work::{Asked, MANIFEST, Work, WorkError};
 
 /// How it was trained: a file as `--preset` takes it.
 pub(super) const CONFIGURATION: &str = "training.toml";

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
-use crumple_world::digest::{Sha256, sha256};
+use crumple_core::digest::{Sha256, sha256};
 
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::Space;

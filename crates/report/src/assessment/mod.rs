@@ -59,7 +59,7 @@ pub use store::{EvidenceHash, Store, StoreError};
 use crumple_search::evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::suite::SuiteRunError;
-use crumple_search::work::{MANIFEST, manifest_of};
+use crumple_store::work::{MANIFEST, manifest_of};
 use crumple_search::worst_case::AttackError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;

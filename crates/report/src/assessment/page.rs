@@ -6,7 +6,7 @@ use super::markdown::Markdown;
 use super::{Assessment, Part};
 use crate::units::without_breaks_before_units;
 use crate::{PAGE_STYLE, draw};
-use crumple_world::quoted::Lines;
+use crumple_core::quoted::Lines;
 
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 

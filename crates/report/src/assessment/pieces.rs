@@ -11,7 +11,7 @@ use super::plan::NamedSpace;
 use super::planned_suite::PlannedSuite;
 use super::work::Work;
 use super::{AssessError, AssessmentPlan};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::NamedController;
 

@@ -12,7 +12,7 @@ use super::gate::Gate;
 use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_world::control::ControllerSpec;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::measure::Specification;
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;

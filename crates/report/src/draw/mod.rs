@@ -41,7 +41,7 @@ pub use png::DrawError;
 pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
 pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
 
-use crumple_world::quoted::Lines;
+use crumple_core::quoted::Lines;
 pub(crate) use label::printable;
 use path::Px;
 

@@ -8,7 +8,7 @@ use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
 use crate::units::without_breaks_before_units;
 use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::quoted::Lines;
+use crumple_core::quoted::Lines;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
 const OWN_STYLE: &str = include_str!("page.css");

@@ -14,7 +14,7 @@ use super::script::{self, ScriptBeyondLimit};
 use super::starts::Starts;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crate::worst_case::{Family, FamilyError, Ranges, is_about, is_exactly};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::{self, Space};

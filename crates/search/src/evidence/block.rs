@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::digest::Sha256;
+use crumple_core::digest::Sha256;
 use crumple_world::sim::{FailedController, Outcome, Simulated, Unanswered};
 
 /// What begins the bytes of which a block's hash is made.

@@ -92,7 +92,7 @@ impl RatePlan {
             }
             Ok(runs as f64 / begun.elapsed().as_secs_f64().max(1e-9))
         };
-        crate::jobs::on_one_core(measured)
+        crumple_store::jobs::on_one_core(measured)
     }
 
     /// Bytes that all shards leave behind, more or less.
@@ -110,7 +110,7 @@ impl RatePlan {
     /// The most shards that it can be divided into.
     #[must_use]
     pub fn most_shards(&self) -> u32 {
-        u32::try_from(self.blocks()).unwrap_or(u32::MAX).min(crate::shard::MOST_SHARDS)
+        u32::try_from(self.blocks()).unwrap_or(u32::MAX).min(crumple_store::shard::MOST_SHARDS)
     }
 }
 

@@ -10,10 +10,10 @@ use serde::Serialize;
 
 use super::record::{CountRecord, Tally, length};
 use super::{RateError, RatePlan};
-use crate::difference;
-use crate::disk::DiskError;
-use crate::shard::TooManyShards;
-use crate::work::{Asked, Work, WorkError};
+use crumple_store::difference;
+use crumple_store::disk::DiskError;
+use crumple_store::shard::TooManyShards;
+use crumple_store::work::{Asked, Work, WorkError};
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
 const BETWEEN: Duration = Duration::from_secs(1);
@@ -277,7 +277,7 @@ mod tests {
         let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
         plan.register_in(part.path(), true).unwrap().certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
-        for name in [REGISTRATION, PROGRESS, CERTIFICATE, crate::work::MANIFEST] {
+        for name in [REGISTRATION, PROGRESS, CERTIFICATE, crumple_store::work::MANIFEST] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }

@@ -9,8 +9,8 @@ use super::RatePlan;
 use super::exposed::own_resamples;
 use super::rate_folder::{Counting, PROGRESS, RateFolderError};
 use super::record::{CountRecord, Tally, length};
-use crate::shard::{Mergeable, Shard, Sharded, open_shard};
-use crate::work::Work;
+use crumple_store::shard::{Mergeable, Shard, Sharded, open_shard};
+use crumple_store::work::Work;
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_COUNT: &str = "shard of a count";

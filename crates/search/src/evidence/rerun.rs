@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::binding::{self, Unbound};
 use super::{CountedBlock, RateError, RatePlan};
-use crumple_world::digest::Sha256;
+use crumple_core::digest::Sha256;
 use crumple_world::sim::NamedController;
 
 /// Which blocks are counted again.

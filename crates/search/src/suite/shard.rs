@@ -2,7 +2,7 @@
 //!
 //! A folder holds `shard.json`, the suite itself, the controllers and the estimator, and `results.json`, what was found of its pieces.
 
-use std::ops::Range;
+use std::ops::{Deref, DerefMut, Range};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::rows::TestedRow;
 use super::run::{SuiteRunError, assembled, each, pieces};
 use super::{Suite, SuiteResult, SuiteSpec, Tested};
-use crate::shard::{Mergeable, Merged, Shard, Sharded, TooManyShards, open_shard};
-use crate::work::{Work, WorkError};
+use crumple_store::shard::{MergeError, Mergeable, Merged, Shard, Sharded, TooManyShards, open_shard};
+use crumple_store::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -182,14 +182,37 @@ fn resumed(work: &Work) -> Result<Results, WorkError> {
 }
 
 /// Shards of one run of a suite.
-pub type MergedSuite = Merged<ShardedSuite>;
+#[derive(Debug)]
+pub struct MergedSuite(Merged<ShardedSuite>);
 
-impl Merged<ShardedSuite> {
+impl Deref for MergedSuite {
+    type Target = Merged<ShardedSuite>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl DerefMut for MergedSuite {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
+
+impl MergedSuite {
+    /// Begins with a shard.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read.
+    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+        Merged::of(folder, found).map(Self)
+    }
+
     /// Tests that no shard has run, each with its controller, in words.
     #[must_use]
     pub fn missing_tests(&self) -> Vec<String> {
-        let tests = self.work.run.suite.clauses.iter().flat_map(|clause| &clause.tests);
-        let named = tests.flat_map(|test| self.work.run.controllers.iter().map(move |(name, _)| (&test.name, name)));
+        let tests = self.work().run.suite.clauses.iter().flat_map(|clause| &clause.tests);
+        let named = tests.flat_map(|test| self.work().run.controllers.iter().map(move |(name, _)| (&test.name, name)));
         let missing = self.missing();
         let is_missing = |index: u64| missing.iter().any(|range| range.contains(&index));
         let named = (0..).zip(named).filter(|(index, _)| is_missing(*index));
@@ -199,7 +222,7 @@ impl Merged<ShardedSuite> {
     /// Looks the recorded controllers up by their names, whose relative paths start at `folder`. Only a controller with the
     /// recorded identity is available.
     pub fn controllers(&self, folder: &Path) -> impl Iterator<Item = Result<NamedController, UnavailableController>> {
-        self.work.run.controllers.iter().map(move |(name, recorded)| {
+        self.work().run.controllers.iter().map(move |(name, recorded)| {
             let found = NamedController::find(name, folder)
                 .map_err(|source| UnavailableController::NotFound { name: name.clone(), source: Box::new(source) })?;
             match found.kind.identity() {
@@ -219,7 +242,7 @@ impl Merged<ShardedSuite> {
         let rows = self.results().flatten().cloned();
         // All of them were read once already.
         let tested: Vec<Tested> = rows.filter_map(|row| row.read().ok()).collect();
-        let (run, is_complete) = (&self.work.run, tested.len() as u64 == self.work.parts());
+        let (run, is_complete) = (&self.work().run, tested.len() as u64 == self.work().parts());
         is_complete.then(|| assembled(&run.suite, run.estimator, run.controllers.len(), tested))
     }
 }

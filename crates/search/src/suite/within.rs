@@ -8,7 +8,7 @@ use super::figure::Figure;
 use super::result::{Failed, TestVerdict};
 use super::run::{Criterion, Driven, Seen};
 use super::spec::TestSpec;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Unanswered;

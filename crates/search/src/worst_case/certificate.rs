@@ -10,7 +10,7 @@ use super::family::Family;
 use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
 use super::reason::Reason;
 use super::situation::Situation;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
 /// The scene that a certificate about a situation speaks of.

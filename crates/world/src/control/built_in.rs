@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::digest::sha256;
+use crumple_core::digest::sha256;
 use crate::observation::Observation;
 use crate::policy::Policy;
 

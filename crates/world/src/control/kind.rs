@@ -8,7 +8,7 @@ use super::{
     ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
     ShieldSettings,
 };
-use crate::digest::sha256;
+use crumple_core::digest::sha256;
 use crate::policy::Policy;
 
 /// A controller behind a shield.

@@ -7,7 +7,7 @@ use super::fit;
 use super::history::History;
 use super::interval::Interval;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
-use crate::digest::sha256;
+use crumple_core::digest::sha256;
 use crate::network::{FeedForward, NetworkFile};
 use crate::observation::Observation;
 use crate::policy::Workspace;

@@ -72,7 +72,7 @@ pub enum Needs {
 ///
 /// ```
 /// use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
-/// use crumple_world::digest::sha256;
+/// use crumple_core::digest::sha256;
 /// use crumple_world::observation::Observation;
 ///
 /// /// Brakes in proportion to the closing speed.

@@ -89,7 +89,7 @@ impl NetworkFile {
                 (network, Some(Arc::new(saved)))
             }
         };
-        Ok(Self { network, sha256: crate::digest::sha256(bytes), bytes: bytes.into(), format, saved })
+        Ok(Self { network, sha256: crumple_core::digest::sha256(bytes), bytes: bytes.into(), format, saved })
     }
 
     /// What a model of Stable-Baselines3 says of itself.

@@ -82,7 +82,7 @@ impl Policy {
             return Err(PolicyError::Overflow { layer });
         }
         let mut policy = Self { header, acting: Acting::new(&network), network, digest: String::new() };
-        policy.digest = crate::digest::sha256(policy.to_bytes()?);
+        policy.digest = crumple_core::digest::sha256(policy.to_bytes()?);
         Ok(policy)
     }
 

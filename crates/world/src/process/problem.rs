@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::protocol::VERSION;
-use crate::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 
 /// Most characters that are told of a text of somebody else.
 pub(super) const MOST_CHARACTERS: usize = 300;

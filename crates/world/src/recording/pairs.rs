@@ -13,7 +13,7 @@ use super::map::{MapSpec, PairsSpec, Sign, SpeedSpec};
 use super::series::{Clock, Quantity, Series, bridge};
 use super::table::{Column, Extent, Row, Table, excerpt};
 use super::{Format, Platoon, Recording, Vehicle};
-use crate::digest::sha256;
+use crumple_core::digest::sha256;
 
 /// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
 const SPEED_AGREEMENT_MPS: f64 = 0.1;

@@ -36,7 +36,7 @@ pub enum ShieldRefusal {
     /// Rounding may take more of the gap than a margin should make up for.
     #[error(
         "rounding may take up to {half_m} m of the gap in runs so long, at positions up to {} m, which a margin of at most {most_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
-        crate::digits::nearest(*position_m, 3)
+        crumple_core::digits::nearest(*position_m, 3)
     )]
     Rounding {
         /// What rounding may take, in metres.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::rl::*;
-use crumple_search::program::{OTHER_BUILD, identity};
+use crumple_store::program::{OTHER_BUILD, identity};
 
 /// A small training that takes a second.
 fn small() -> TrainingConfig {

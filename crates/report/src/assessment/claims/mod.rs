@@ -10,7 +10,7 @@ mod ledger;
 mod rule;
 mod strength;
 
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use serde::{Deserialize, Serialize};

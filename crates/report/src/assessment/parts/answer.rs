@@ -12,7 +12,7 @@ use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessmentPlan, GateResult, Part};
 use crate::draw::Svg;
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 
 /// The answer to the question whether the subject touches others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -16,7 +16,7 @@ use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose;
 use crate::assessment::table::Mark;
 use crate::assessment::{AssessmentPlan, Part};
-use crumple_world::quoted::Terminal;
+use crumple_core::quoted::Terminal;
 
 /// The argument, its elements in the order of their identifiers' numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

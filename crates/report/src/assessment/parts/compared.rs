@@ -11,7 +11,7 @@ use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::file::{self, FileError};
 
 /// What changed since an earlier assessment.

@@ -10,7 +10,7 @@ use crate::assessment::{Command, Rounded};
 use crate::export::openscenario::{OpenScenario, trajectories};
 use crumple_search::falsify::campaign::{MethodSummary, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate};

@@ -7,7 +7,7 @@ use crate::assessment::document::Document;
 use crate::assessment::markdown::Inline;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 
 /// When, by what and where an assessment was made. No evidence depends on it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

@@ -17,7 +17,7 @@ use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
 use crumple_search::falsify::counterexample::Counterexample;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::measure::{Conduct, Specification};
 use crumple_world::sim::{NamedController, Unanswered};
 

@@ -7,7 +7,7 @@ use serde_json::json;
 use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Pilot, RareError, RarePlan, RareReport};
-use crate::work::{Asked, Work, WorkError};
+use crumple_store::work::{Asked, Work, WorkError};
 
 const ESTIMATE: &str = "rare-estimate.json";
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::driving::RareRecord;
 use super::importance::Fitting;
 use super::{Estimate, Pilot, RareError, RarePlan, Repetitions};
-use crate::work::{Work, WorkError};
+use crumple_store::work::{Work, WorkError};
 use crumple_world::scenario::space::Space;
 
 pub(super) const PROGRESS: &str = "progress.json";

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::progress::PROGRESS;
 use super::*;
-use crate::shard::Shard;
+use crumple_store::shard::Shard;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;

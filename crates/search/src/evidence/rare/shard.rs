@@ -2,7 +2,7 @@
 //!
 //! A folder holds `shard.json`, all that decides it, and `repetitions.json`; until that is there, `progress.json`.
 
-use std::ops::Range;
+use std::ops::{Deref, DerefMut, Range};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -11,9 +11,9 @@ use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
-use crate::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
-use crate::work::WorkError;
-use crumple_world::digest::sha256;
+use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
+use crumple_store::work::{Finished, WorkError};
+use crumple_core::digest::sha256;
 use crumple_world::scenario::space::{Space, file};
 
 /// What a folder of one is called in its `work.json`.
@@ -169,9 +169,32 @@ impl RareShard<'_> {
 }
 
 /// Shards of one estimate.
-pub type MergedEstimate = Merged<ShardedEstimate>;
+#[derive(Debug)]
+pub struct MergedEstimate(Merged<ShardedEstimate>);
 
-impl Merged<ShardedEstimate> {
+impl Deref for MergedEstimate {
+    type Target = Merged<ShardedEstimate>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl DerefMut for MergedEstimate {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
+
+impl MergedEstimate {
+    /// Begins with a shard.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read.
+    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+        Merged::of(folder, found).map(Self)
+    }
+
     /// The estimate, with what it comes to per hour where the space says in how much driving it was seen; none while repetitions are
     /// missing.
     ///
@@ -180,17 +203,17 @@ impl Merged<ShardedEstimate> {
     pub fn report(&self) -> Result<Option<RareReport>, MergeError> {
         let Some(first) = self.results().next().filter(|_| self.missing_parts() == 0) else { return Ok(None) };
         let repetitions = self.results().map(|repeated| &repeated.repetitions);
-        let report = self.work.estimate.report(first.pilot.summary(repetitions));
+        let report = self.work().estimate.report(first.pilot.summary(repetitions));
         Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
     }
 
     fn exposed(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
-        let Some(Exposed { resamples, space_text }) = &self.work.exposed else { return Ok(None) };
-        let unusable = |problem: String| self.parts.unusable(SHARD, problem);
+        let Some(Exposed { resamples, space_text }) = &self.work().exposed else { return Ok(None) };
+        let unusable = |problem: String| self.parts().unusable(SHARD, problem);
         let space = file::from_toml(space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let mut kept = PutTogether::of(self.results().flat_map(|repeated| &repeated.resampled).cloned().collect());
-        let resamples = estimate_again(&space, self.work.estimate.seed, *resamples, &mut |_: &Space, _| kept.next());
+        let resamples = estimate_again(&space, self.work().estimate.seed, *resamples, &mut |_: &Space, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =
             resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
@@ -204,7 +227,7 @@ impl Merged<ShardedEstimate> {
     /// [`RareError`] if the shards do not go with their space, or the folder cannot be used, or holds something else.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, RareReport)>, RareError> {
         let Some(report) = self.report()? else { return Ok(None) };
-        let folder = self.work.estimate.in_folder(folder, true)?;
+        let folder = self.work().estimate.in_folder(folder, true)?;
         match folder.kept()? {
             Some(kept) if kept != report.kept() => {
                 let problem = "there is an estimate of the same configuration that came to something else";

@@ -5,8 +5,8 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 
 use super::*;
-use crate::shard::{MergeError, Shard};
-use crate::work::{Finished, Found, find};
+use crumple_store::shard::{MergeError, Shard};
+use crumple_store::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;

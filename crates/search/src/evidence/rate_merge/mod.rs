@@ -4,7 +4,7 @@
 //! of a count by one machine, in order, and so are the sums, the bound and the certificate: there is nothing to be combined that could
 //! round. Memory grows with the number of blocks, of which there are at most ten thousand, and not with the number of runs.
 
-use std::ops::Range;
+use std::ops::{Deref, DerefMut, Range};
 use std::path::{Path, PathBuf};
 
 use crumple_verify::Certificate;
@@ -14,11 +14,27 @@ use super::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, run_
 use super::rate_folder::RateFolderError;
 use super::rate_shard::ShardedCount;
 use super::record::{CountRecord, Tally, length};
-use crate::shard::{MergeError, Merged, MissingShards, SHARD};
+use crumple_store::shard::{MergeError, Merged, MissingShards, SHARD};
+use crumple_store::work::Finished;
 use crumple_world::scenario::space::{Space, file};
 
 /// Shards of one count.
-pub type MergedCount = Merged<ShardedCount>;
+#[derive(Debug)]
+pub struct MergedCount(Merged<ShardedCount>);
+
+impl Deref for MergedCount {
+    type Target = Merged<ShardedCount>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl DerefMut for MergedCount {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
 
 /// What shards come to, all of them or not.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -50,11 +66,19 @@ pub struct SoFar {
     pub rate_at_most: Option<f64>,
 }
 
-impl Merged<ShardedCount> {
+impl MergedCount {
+    /// Begins with a shard.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read.
+    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+        Merged::of(folder, found).map(Self)
+    }
+
     /// What was fixed before the first run.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
-        &self.work.count
+        &self.work().count
     }
 
     /// Whether every run was counted.
@@ -66,9 +90,9 @@ impl Merged<ShardedCount> {
     /// What the shards come to.
     #[must_use]
     pub fn so_far(&self) -> SoFar {
-        let sum = |of: fn(&Tally) -> u64| self.parts.contents().map(of).sum::<u64>();
+        let sum = |of: fn(&Tally) -> u64| self.parts().contents().map(of).sum::<u64>();
         let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record().runs_of(blocks)).collect();
-        let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
+        let MissingShards { of_shards, missing_shards } = self.parts().missing_shards();
         let open: u64 = missing.iter().map(length).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
@@ -79,8 +103,8 @@ impl Merged<ShardedCount> {
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
             only_second_failed: sum(|tally| tally.only_second_failed),
-            shards: self.parts.shards(),
-            duplicates: self.parts.duplicates(),
+            shards: self.parts().shards(),
+            duplicates: self.parts().duplicates(),
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
             missing_shards,
             of_shards,
@@ -99,7 +123,7 @@ impl Merged<ShardedCount> {
             return None;
         }
         let mut tally = self.record().tally();
-        for (index, block) in (0..).zip(self.parts.contents().flat_map(|part| &part.blocks)) {
+        for (index, block) in (0..).zip(self.parts().contents().flat_map(|part| &part.blocks)) {
             tally.add(length(&self.record().runs_of(index..index + 1)), block.clone());
         }
         Some(tally)
@@ -111,13 +135,13 @@ impl Merged<ShardedCount> {
     /// # Errors
     /// [`MergeError`] if the new runs in resamples are not those of the space.
     pub fn exposed(&self) -> Result<Option<ExposedRate>, MergeError> {
-        let (Some(tally), Some(resampling)) = (self.tally(), self.work.resampling) else { return Ok(None) };
-        let unusable = |problem: String| self.parts.unusable(SHARD, problem);
+        let (Some(tally), Some(resampling)) = (self.tally(), self.work().resampling) else { return Ok(None) };
+        let unusable = |problem: String| self.parts().unusable(SHARD, problem);
         let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
-        let mut kept = PutTogether::of(self.parts.contents().flat_map(|part| &part.resampled).copied().collect());
+        let mut kept = PutTogether::of(self.parts().contents().flat_map(|part| &part.resampled).copied().collect());
         let resamples = run_again(&space, seed, resampling, &mut |_: &Space, _, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =

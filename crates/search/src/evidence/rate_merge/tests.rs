@@ -7,8 +7,8 @@ use rand::{Rng, RngExt};
 
 use super::*;
 use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
-use crate::shard::Shard;
-use crate::work::{Finished, Found, find};
+use crumple_store::shard::Shard;
+use crumple_store::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -216,7 +216,7 @@ fn what_is_foreign_tampered_or_contradicts_is_refused() {
     let progress = fs::read_to_string(second.join("progress.json")).unwrap();
     let hash = progress.rfind("\"sha256\": \"").unwrap() + 11;
     let digit = if progress.as_bytes()[hash] == b'0' { "1" } else { "0" };
-    let forge = |work: &crate::work::Work| {
+    let forge = |work: &crumple_store::work::Work| {
         let changed = format!("{}{digit}{}", &progress[..hash], &progress[hash + 1..]);
         work.write("progress.json", changed).unwrap();
         work.finish().unwrap();

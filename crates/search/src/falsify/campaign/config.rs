@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::run::CONFIGURATION;
 use super::{Aim, CampaignError};
-use crate::disk;
+use crumple_store::disk;
 use crate::falsify::judging::Judging;
 use crate::falsify::{Contrast, ContrastRecord, Method};
 use crumple_world::measure::Specification;

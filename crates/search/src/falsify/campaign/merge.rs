@@ -17,9 +17,9 @@ use super::terms::Terms;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, Recorder};
-use crate::shard::{MergeError, MissingShards, Parts, SHARD, Sharded, read_shard};
-use crate::work::{Finished, WorkError};
-use crumple_world::digest::sha256;
+use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD, Sharded, read_shard};
+use crumple_store::work::{Finished, WorkError};
+use crumple_core::digest::sha256;
 
 /// Shards of one campaign.
 #[derive(Debug)]
@@ -136,7 +136,7 @@ impl MergedCampaign {
         let (terms, findings, distinct) = self.told();
         let configuration = terms.record.to_toml()?;
         let work = open(folder, &configuration, true)?;
-        let summarised = |results: &mut crate::work::Changes<'_>| {
+        let summarised = |results: &mut crumple_store::work::Changes<'_>| {
             let counterexamples = Recorder { terms: &terms }.record_all(&distinct, results)?;
             Summary::of(&terms, &findings, counterexamples, &self.missing())
         };

@@ -10,7 +10,7 @@
 //! | `counterexamples/expected.verdicts` | the recorded verdict of each of them, in TOML |
 //! | `summary.json`, `summary.txt` | what was found, by which method after how many evaluations |
 //! | `evaluations.journal` | only while the campaign runs: what is lost by no `kill -9`, for the build that wrote it |
-//! | `work.json`, `work.lock` | what all of these are (see [`crate::work`]); locked by the process that works there |
+//! | `work.json`, `work.lock` | what all of these are (see [`crumple_store::work`]); locked by the process that works there |
 //!
 //! The reference searches, uniform points and a Halton sequence, always run with the same budget as the method asked for: a search
 //! that does no better than random must say so. Results depend neither on the number of threads nor on interruptions.
@@ -51,8 +51,8 @@ pub use shard::{SHARD_OF_A_CAMPAIGN, ShardDone};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 pub(in crate::falsify) use terms::Terms;
 
-use crate::disk::DiskError;
-use crate::work::WorkError;
+use crumple_store::disk::DiskError;
+use crumple_store::work::WorkError;
 use crumple_world::measure::{RunVerdict, SpecificationError};
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
@@ -106,7 +106,7 @@ pub enum CampaignError {
     UnknownInShards(String),
     /// There are more shards than evaluations.
     #[error(transparent)]
-    Shards(#[from] crate::shard::TooManyShards),
+    Shards(#[from] crumple_store::shard::TooManyShards),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NobodyUnderTest(String),

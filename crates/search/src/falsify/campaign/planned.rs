@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use super::terms::Terms;
 use super::{Campaign, CampaignError, Log};
 use crate::falsify::Method;
-use crate::jobs::on_one_core;
+use crumple_store::jobs::on_one_core;
 
 /// Bytes of a shard's failures, more or less: three of each of six kinds, each with two scenarios, and a front of thirty.
 const FAILURES: u64 = 90_000;
@@ -41,6 +41,6 @@ impl Campaign {
     /// The most shards that it can be divided into.
     #[must_use]
     pub fn most_shards(&self) -> u32 {
-        u32::try_from(self.budget).unwrap_or(u32::MAX).min(crate::shard::MOST_SHARDS)
+        u32::try_from(self.budget).unwrap_or(u32::MAX).min(crumple_store::shard::MOST_SHARDS)
     }
 }

@@ -22,8 +22,8 @@ use super::terms::Terms;
 use super::{Campaign, CampaignError, FailureCandidate, FailureKind, Log};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, ExaminedRow, Examiner};
-use crate::shard::{Shard, Sharded, open_shard};
-use crate::work::{Finished, WorkError};
+use crumple_store::shard::{Shard, Sharded, open_shard};
+use crumple_store::work::{Finished, WorkError};
 
 /// What a folder of one is called in its `work.json`.
 pub const SHARD_OF_A_CAMPAIGN: &str = "shard of a campaign";

@@ -12,7 +12,7 @@ use super::summary::{
 use super::terms::Terms;
 use crate::falsify::ContrastRecord;
 use crate::falsify::counterexample::Counterexample;
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use crumple_world::sim::Unanswered;
 
 impl Summary {

@@ -17,7 +17,7 @@ use flate2::write::GzEncoder;
 use super::terms::Terms;
 use super::{CampaignError, Evaluated};
 use crate::falsify::Method;
-use crate::work::{Changes, Work};
+use crumple_store::work::{Changes, Work};
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 use crumple_world::scenario::space::{Parameter, Space};

@@ -9,7 +9,7 @@ use super::severity::Severity;
 use super::{Avoidability, Changed, Classed, Counterexample};
 use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
 use crate::falsify::{ContrastRecord, Method};
-use crate::work::Changes;
+use crumple_store::work::Changes;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, file};
 

@@ -20,10 +20,10 @@ pub use self::fmu::fmu_host;
 pub use self::fmu::{FmuProblem, Wiring};
 pub use self::permission::{NamedBy, StartPermission, StartRefused, allow_external, is_external_allowed};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
-use crate::digest::{Sha256, sha256};
+use crumple_core::digest::{Sha256, sha256};
 use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
 use crate::process::{ProcessFailure, ProcessProblem, Program, shortened};
-use crate::quoted::ShellWord;
+use crumple_core::quoted::ShellWord;
 use crate::random::{self, Purpose};
 
 /// Most words of a command, files that an identity stands for, and bytes of one of these.

@@ -6,7 +6,7 @@
 //! same values. A record that was cut short is not used; one that was changed is known by its checksum, and the campaign does
 //! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
 //! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the
-//! folder's manifest ([`Work::grew`](crate::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
+//! folder's manifest ([`Work::grew`](crumple_store::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
 //! campaign is complete: its contents are then in the Parquet files.
 
 mod record;
@@ -16,9 +16,9 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::disk::{self, DiskError};
-use crate::work::{Prefix, Work, WorkError};
-use crumple_world::digest::Sha256;
+use crumple_store::disk::{self, DiskError};
+use crumple_store::work::{Prefix, Work, WorkError};
+use crumple_core::digest::Sha256;
 use crumple_world::measure::RunVerdict;
 use record::{Found, RECORD, checksum_of, is_zero, record};
 pub(super) use record::{decode, encode};

@@ -2,11 +2,11 @@
 
 use std::io;
 
-use hmac_sha256::Hash;
+use sha2::Digest;
 
 /// SHA-256 of bytes that come piece by piece.
 #[derive(Clone, Default)]
-pub struct Sha256(Hash);
+pub struct Sha256(sha2::Sha256);
 
 impl Sha256 {
     /// Takes in the next piece.
@@ -24,7 +24,7 @@ impl Sha256 {
     /// The digest of all pieces.
     #[must_use]
     pub fn finish(self) -> [u8; 32] {
-        self.0.finalize()
+        self.0.finalize().into()
     }
 
     /// The digest of all pieces, in hexadecimal.

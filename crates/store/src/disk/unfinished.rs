@@ -21,12 +21,12 @@ pub fn is_unfinished(path: &Path) -> bool {
 }
 
 /// Returns the name of the file with a number, of a folder of work.
-pub(crate) fn numbered(number: u64) -> String {
+pub fn numbered(number: u64) -> String {
     format!("{PREFIX}{number}")
 }
 
 /// Returns the number in the name of such a file.
-pub(crate) fn number_of(name: &str) -> Option<u64> {
+pub fn number_of(name: &str) -> Option<u64> {
     name.strip_prefix(PREFIX)?.parse().ok()
 }
 
@@ -62,7 +62,7 @@ pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
-pub(crate) fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
+pub fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
     remove_those(folder, true)
 }
 

@@ -22,7 +22,7 @@ pub use merged::{Mergeable, Merged};
 pub use parts::{MergeError, MissingShards, Parts};
 
 /// The file that says all that decides a shard.
-pub(crate) const SHARD: &str = "shard.json";
+pub const SHARD: &str = "shard.json";
 
 /// Everything that decides work that can be divided. `shard.json` holds it beside the version and the number of the shard.
 pub trait Sharded: PartialEq + Serialize + DeserializeOwned {

@@ -5,11 +5,11 @@
 //! assessment is kept under it. Results never hold it: they are compared byte for byte between builds.
 
 use std::fs::File;
-use std::io::Read;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use sha2::{Digest, Sha256};
+use crumple_core::digest::Sha256;
 
 use crate::disk::DiskError;
 
@@ -26,8 +26,7 @@ pub fn loaded_from(library: PathBuf) {
     let _ = LIBRARY.set(library);
 }
 
-/// SHA-256 of the running executable, or of what [`loaded_from`] says, computed once a process. An unoptimised build has 150 MB, so this hash, unlike the small ones
-/// of files, is computed by the processor's own instructions where it has them.
+/// Returns the SHA-256 of the running executable, or of the library that [`loaded_from`] names, computed once per process.
 ///
 /// # Errors
 /// [`DiskError`] if the executable cannot be found or read.
@@ -40,14 +39,8 @@ pub fn identity() -> Result<&'static str, DiskError> {
         Some(library) => library.clone(),
         None => std::env::current_exe().map_err(DiskError::at(Path::new("the running executable")))?,
     };
-    let mut hash = Sha256::new();
     let mut executable = File::open(&path).map_err(DiskError::at(&path))?;
-    let mut piece = vec![0; 1 << 16];
-    loop {
-        match executable.read(&mut piece).map_err(DiskError::at(&path))? {
-            0 => break,
-            length => hash.update(&piece[..length]),
-        }
-    }
-    Ok(IDENTITY.get_or_init(|| hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+    let mut hash = Sha256::default();
+    io::copy(&mut executable, &mut hash).map_err(DiskError::at(&path))?;
+    Ok(IDENTITY.get_or_init(|| hash.hexadecimal()))
 }

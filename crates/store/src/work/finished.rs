@@ -7,7 +7,7 @@ use super::lock::LOCK;
 use super::manifest::{MOST_BYTES, Manifest, entries_of};
 use super::{MANIFEST, PREVIOUS, UNKNOWN, WorkError};
 use crate::disk::{self, DiskError};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 
 /// What a folder holds.
 #[derive(Debug)]

@@ -12,7 +12,7 @@ use super::pending::{self, Pending, is_within};
 use super::state::{FileState, MISSING, Prefix, plain, regular};
 use super::{MANIFEST, PREVIOUS, UNKNOWN, WorkError};
 use crate::disk::{self, DiskError};
-use crumple_world::digest::{Sha256, sha256};
+use crumple_core::digest::{Sha256, sha256};
 
 /// The version of the file.
 const VERSION: u32 = 1;

@@ -3,7 +3,7 @@
 //! Whatever a user wrote stands in the script for a shard alone, each word quoted for a POSIX shell; what the engines read holds numbers
 //! and, quoted likewise, the name of that script.
 
-use crumple_world::quoted::ShellWord;
+use crumple_core::quoted::ShellWord;
 
 use crate::shard::MOST_SHARDS;
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::WorkError;
 use crate::disk::{self, DiskError};
-use crumple_world::digest::{Sha256, sha256};
+use crumple_core::digest::{Sha256, sha256};
 
 /// What a file is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

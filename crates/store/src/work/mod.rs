@@ -30,7 +30,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD};
-use crumple_world::digest::sha256;
+use crumple_core::digest::sha256;
 use manifest::{Manifest, entries_of};
 use state::FileState;
 
@@ -74,7 +74,7 @@ pub fn digests_in(folder: &Path, kind: &str) -> Vec<(String, String)> {
 }
 
 /// What tells work of a kind with a configuration from all other, as this program does it ([`Work::identity`]).
-pub(crate) fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
+pub fn identity(kind: &str, configuration: &str) -> Result<String, DiskError> {
     let program = program::identity()?;
     Ok(Manifest::new(kind, program, &sha256(configuration), &[]).identity(program))
 }
@@ -161,7 +161,8 @@ impl WorkError {
         Self::damaged(path, "the file is missing")
     }
 
-    pub(crate) fn damaged(path: &Path, problem: impl Into<String>) -> Self {
+    /// Returns the error about a file whose content is not what its writer wrote.
+    pub fn damaged(path: &Path, problem: impl Into<String>) -> Self {
         Self::Damaged { path: path.to_owned(), problem: problem.into() }
     }
 }

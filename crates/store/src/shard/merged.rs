@@ -30,8 +30,8 @@ pub trait Mergeable: Sharded {
 /// Shards of one work, in any order.
 #[derive(Debug)]
 pub struct Merged<W: Mergeable> {
-    pub(crate) work: W,
-    pub(crate) parts: Parts<W::Results>,
+    work: W,
+    parts: Parts<W::Results>,
 }
 
 impl<W: Mergeable> Merged<W> {
@@ -63,6 +63,11 @@ impl<W: Mergeable> Merged<W> {
             return Err(self.parts.foreign(folder, field));
         }
         self.parts.place(folder, shard, own, results)
+    }
+
+    /// Returns the results by their parts.
+    pub fn parts(&self) -> &Parts<W::Results> {
+        &self.parts
     }
 
     /// Returns everything that decides the work.

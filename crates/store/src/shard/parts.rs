@@ -105,7 +105,7 @@ impl<T: PartialEq> Parts<T> {
 
     /// The error about something that all of them say, found out when all are there.
     #[must_use]
-    pub(crate) fn unusable(&self, name: &str, problem: String) -> MergeError {
+    pub fn unusable(&self, name: &str, problem: String) -> MergeError {
         WorkError::damaged(&self.first.join(name), problem).into()
     }
 
