@@ -1,6 +1,5 @@
 //! Connections, their limits, and the end.
 
-use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::fmt;
 use std::future::{poll_fn, ready};
@@ -8,7 +7,7 @@ use std::io;
 use std::net::{Ipv4Addr, TcpListener};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -29,7 +28,8 @@ use crate::gate::Gate;
 use crate::offer::{Offer, OfferError};
 use crate::refused::Refused;
 
-/// Most connections at once. Beyond that, the oldest connection whose request is not being answered ends.
+/// Most connections at once. Beyond that, the connection ends that has waited longest for its client. A connection whose request is being
+/// answered does not end.
 const MOST_CONNECTIONS: usize = 256;
 /// Most bytes of what is asked: a scenario of some minutes of scripted motion.
 const MOST_BYTES: usize = 1 << 20;
@@ -167,7 +167,7 @@ impl Server {
 }
 
 async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>, patience: Duration) {
-    let mut connections = VecDeque::new();
+    let mut connections = Vec::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of file descriptors, as likely as not: some will be free soon.
@@ -177,10 +177,10 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
         while !has_room(&mut connections) {
             sleep(A_MOMENT).await;
         }
-        let is_answering = Arc::new(AtomicBool::new(false));
-        let (application, answering) = (Arc::clone(&application), Arc::clone(&is_answering));
+        let idle_since = Arc::new(AtomicU64::new(tick()));
+        let (application, own_idle_since) = (Arc::clone(&application), Arc::clone(&idle_since));
         let task = tokio::spawn(async move {
-            let service = service_fn(|request| respond(Arc::clone(&application), request, &answering, patience));
+            let service = service_fn(|request| respond(Arc::clone(&application), request, &own_idle_since, patience));
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
@@ -190,23 +190,34 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
             // A client that breaks off needs no answer.
             let _ = connection.await;
         });
-        connections.push_back(Connection { task: task.abort_handle(), is_answering });
+        connections.push(Connection { task: task.abort_handle(), idle_since });
     }
 }
 
 /// A connection that was accepted.
 struct Connection {
     task: AbortHandle,
-    is_answering: Arc<AtomicBool>,
+    /// Tick at which it became idle, or [`ANSWERING`].
+    idle_since: Arc<AtomicU64>,
 }
 
-/// Returns whether another connection may begin. If there are too many, ends the oldest whose request is not being answered.
-fn has_room(connections: &mut VecDeque<Connection>) -> bool {
+/// Value of a connection whose request is being answered.
+const ANSWERING: u64 = u64::MAX;
+
+/// Returns numbers that increase, in the place of times.
+fn tick() -> u64 {
+    static TICKS: AtomicU64 = AtomicU64::new(0);
+    TICKS.fetch_add(1, Ordering::Relaxed)
+}
+
+/// Returns whether another connection may begin. If there are too many, ends the one that is idle the longest.
+fn has_room(connections: &mut Vec<Connection>) -> bool {
     connections.retain(|connection| !connection.task.is_finished());
     if connections.len() >= MOST_CONNECTIONS {
-        let is_idle = |connection: &Connection| !connection.is_answering.load(Ordering::Relaxed);
-        let oldest = connections.iter().position(is_idle).and_then(|oldest| connections.remove(oldest));
-        oldest.iter().for_each(|connection| connection.task.abort());
+        let since = connections.iter().map(|connection| connection.idle_since.load(Ordering::Relaxed)).enumerate();
+        if let Some((longest, _)) = since.filter(|(_, since)| *since != ANSWERING).min_by_key(|(_, since)| *since) {
+            connections.swap_remove(longest).task.abort();
+        }
     }
     connections.len() < MOST_CONNECTIONS
 }
@@ -214,10 +225,10 @@ fn has_room(connections: &mut VecDeque<Connection>) -> bool {
 async fn respond(
     application: Arc<Application>,
     request: Request<Incoming>,
-    is_answering: &AtomicBool,
+    idle_since: &AtomicU64,
     patience: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
-    let answered = handle(application, request, is_answering, patience).await;
+    let answered = handle(application, request, idle_since, patience).await;
     let Answer { status, content_type, body } = answered.unwrap_or_else(Answer::from);
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
@@ -231,9 +242,11 @@ async fn respond(
 async fn handle(
     application: Arc<Application>,
     request: Request<Incoming>,
-    is_answering: &AtomicBool,
+    idle_since: &AtomicU64,
     patience: Duration,
 ) -> Result<Answer, Refused> {
+    // The time for which the connection was idle before no longer counts.
+    idle_since.store(tick(), Ordering::Relaxed);
     let (head, body) = request.into_parts();
     let rest = application.gate.admit(head.uri.path(), &head.headers)?.to_owned();
     if head.method == Method::GET {
@@ -248,9 +261,9 @@ async fn handle(
     }
     let body = timeout(patience, whole(body)).await.map_err(|_| Refused::Slow(patience))??;
     // More than there are threads for wait in line.
-    is_answering.store(true, Ordering::Relaxed);
+    idle_since.store(ANSWERING, Ordering::Relaxed);
     let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
-    is_answering.store(false, Ordering::Relaxed);
+    idle_since.store(tick(), Ordering::Relaxed);
     answer.unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
 }
 
