@@ -12,8 +12,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, interrupt, progress, subject, utc};
 use crumple_report::assessment::{
-    AssessError, AssessmentPlan, ComparisonError, Earlier, EvidenceShardError, FOLDERS, Made, MergedEvidence, REPORT,
-    Store, StoreError, assess, gather_shard,
+    AssessmentPlan, ComparisonError, Earlier, FOLDERS, Made, MergedEvidence, REPORT, Store, assess, gather_shard,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -147,10 +146,7 @@ impl Assess {
         }
         said += &assessment.first_page.gates_plain();
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
-        let printed = match self.format {
-            Format::Json => output::print_json(&assessment.summary),
-            Format::Text => output::print(&said),
-        };
+        let printed = output::print_result(self.format, &assessment.summary, || said);
         let gate = match failed.as_slice() {
             [] => Ok(()),
             gates => {
@@ -172,10 +168,9 @@ impl Assess {
         bar.finish_and_clear();
         let pieces = gathered?;
         let said = "`crumple merge` puts it together with the others";
-        match self.format {
-            Format::Json => output::print_json(&Gathered { pieces, folder: out.to_string(), shard }),
-            Format::Text => output::print(&format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n")),
-        }
+        let gathered = Gathered { pieces, folder: out.to_string(), shard };
+        let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n");
+        output::print_result(self.format, &gathered, words)
     }
 }
 
@@ -202,22 +197,13 @@ pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Resu
         }
     };
     let folder = folder.display().to_string();
-    let said = match (format, is_of_this_build) {
-        (Format::Json, _) => {
-            let merged = Merged { pieces, folder, is_of_this_build, missing, shards };
-            serde_json::to_string(&merged).map_err(Failure::input)?
-        }
-        (Format::Text, true) => {
-            format!(
-                "{pieces} pieces of evidence in {folder}: `crumple assess` with the same file and --out writes the report"
-            )
-        }
-        (Format::Text, false) => format!(
-            "{pieces} pieces of evidence in {folder}: `crumple assess` of the build that gathered it, which is not this one, \
-             writes the report"
-        ),
+    let how = match is_of_this_build {
+        true => "`crumple assess` with the same file and --out",
+        false => "`crumple assess` of the build that gathered it, which is not this one,",
     };
-    Failure::gate_first(gate, output::print(&(said + "\n")))
+    let words = format!("{pieces} pieces of evidence in {folder}: {how} writes the report\n");
+    let merged = Merged { pieces, folder, is_of_this_build, missing, shards };
+    Failure::gate_first(gate, output::print_result(format, &merged, || words))
 }
 
 /// What shards of an assessment come to, for programs.
@@ -289,35 +275,6 @@ fn made(folder: &Path, program_sha256: &str, took: Duration) -> Made {
         program_sha256: program_sha256.to_owned(),
         machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
         duration_s: took.as_secs(),
-    }
-}
-
-impl From<StoreError> for Failure {
-    fn from(error: StoreError) -> Self {
-        match error {
-            StoreError::Disk(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
-}
-
-impl From<EvidenceShardError> for Failure {
-    fn from(error: EvidenceShardError) -> Self {
-        match error {
-            EvidenceShardError::Work(error) => error.into(),
-            EvidenceShardError::Assess(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
-}
-
-impl From<AssessError> for Failure {
-    fn from(error: AssessError) -> Self {
-        match error {
-            AssessError::Store(error) => error.into(),
-            AssessError::Campaign(error) => error.into(),
-            other => Self::input(other),
-        }
     }
 }
 

@@ -72,11 +72,7 @@ impl ChasingCars {
         if let Some(folder) = &self.out {
             keep(&measured, folder, quiet)?;
         }
-        let text = match self.format {
-            Format::Json => serde_json::to_string(&measured).map_err(Failure::input)? + "\n",
-            Format::Text => table(&measured),
-        };
-        output::print(&text)
+        output::print_result(self.format, &measured, || table(&measured))
     }
 }
 

@@ -6,12 +6,14 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit, check_within};
+use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit};
+use serde::Serialize;
 
-use super::checked::{self, Checked, Counts};
 use super::simulate::Format;
 use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
-use crumple_search::evidence::{Rerun, RerunError, Sample, Unbound, bound, checker_file, lies_within};
+use crumple_search::evidence::{
+    CertificateReport, Counts, Rerun, RerunError, Sample, checker_file, lies_within, report_json, report_text,
+};
 use crumple_world::control::NamedBy;
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
@@ -97,10 +99,8 @@ impl Check {
         let printed = output::print_for(
             self.format,
             &match self.format {
-                Format::Json => checked::json(&all)
-                    .and_then(|lines| Ok(lines + &checked::json_of_others(&others)?))
-                    .map_err(Failure::input)?,
-                Format::Text => checked::text(&all, self.scenario.as_deref()),
+                Format::Json => report_json(&all).map_err(Failure::input)? + &json_of_others(&others)?,
+                Format::Text => report_text(&all, self.scenario.as_deref()),
             },
         );
         let gate = match refusal(&all) {
@@ -117,29 +117,22 @@ impl Check {
         certificate: &'a Certificate,
         scenario: Option<&Scenario>,
         quiet: bool,
-    ) -> Result<Checked<'a>, Failure> {
+    ) -> Result<CertificateReport<'a>, Failure> {
         let policy = self.policy_bytes(certificate, path)?;
-        let limit = WorkLimit::billions(self.work_limit);
-        let accepted = check_within(certificate, policy.as_deref(), limit).map_err(|rejection| rejection.to_string());
-        let accepted = match (accepted, bound(certificate, policy.as_deref())) {
-            // The text was not read, which says nothing against the certificate.
-            (Ok(_), Err(refused @ Unbound::StartRefused(_))) => {
-                return Err(Failure::Input(format!("{}: {refused}", path.display())));
-            }
-            (Ok(_), Err(unbound)) => Err(unbound.to_string()),
-            (accepted, _) => accepted,
-        };
-        let counts = match (&accepted, self.rerun) {
+        let (file, limit) = (path.display().to_string(), WorkLimit::billions(self.work_limit));
+        let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
+            .map_err(|refused| Failure::Input(format!("{}: {refused}", path.display())))?;
+        report.counts = match (&report.accepted, self.rerun) {
             (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), Some(percent)) => {
                 Some(self.count_again(path, certificate, percent, quiet)?)
             }
             (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(Counts::MakersWord),
             _ => None,
         };
-        let about = scenario.map(|scenario| {
+        report.about = scenario.map(|scenario| {
             lies_within(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
         });
-        Ok(Checked { path: path.display().to_string(), certificate, accepted, counts, about })
+        Ok(report)
     }
 
     fn count_again(
@@ -194,9 +187,26 @@ impl Check {
     }
 }
 
+/// Certificate that could not be judged, one line of `--format json`.
+#[derive(Serialize)]
+struct NotJudged<'a> {
+    certificate: &'a str,
+    accepted: bool,
+    error: String,
+}
+
+/// Formats certificates that could not be judged as one JSON object a line.
+fn json_of_others(others: &[(String, Failure)]) -> Result<String, Failure> {
+    let line = |(certificate, failure): &(String, Failure)| {
+        let line = NotJudged { certificate, accepted: false, error: failure.to_string() };
+        Ok(serde_json::to_string(&line).map_err(Failure::input)? + "\n")
+    };
+    others.iter().map(line).collect()
+}
+
 /// Which certificates are refused, if any is.
-fn refusal(all: &[Checked<'_>]) -> Option<String> {
-    let of = |is_wanted: &dyn Fn(&Checked<'_>) -> bool| {
+fn refusal(all: &[CertificateReport<'_>]) -> Option<String> {
+    let of = |is_wanted: &dyn Fn(&CertificateReport<'_>) -> bool| {
         let paths: Vec<&str> = all.iter().filter(|one| is_wanted(one)).map(|one| one.path.as_str()).collect();
         paths.join(", ")
     };

@@ -1,8 +1,11 @@
 //! Arguments that choose one of a few values by name.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use crumple_search::evidence::rare::RareMethod;
+use crumple_search::falsify::campaign::Log;
 use crumple_search::worst_case::{Aim, EscapeKind};
 use crumple_world::observation::EstimatorKind;
+use crumple_world::recording::Leaders;
 use crumple_world::sim::AfterContact;
 
 /// A value, the name it goes by, and what it means in the long help.
@@ -45,6 +48,28 @@ pub(super) const ESCAPES: &[Choice<EscapeKind>] = &[
         "least-jerk",
         "Likewise the one whose acceleration changes least, of all escapes with that firing",
     ),
+];
+
+/// Vehicles whose braking makes an episode of a recording.
+pub(super) const LEADERS: &[Choice<Leaders>] = &[
+    (Leaders::Any, "any", "Every vehicle with another behind it"),
+    (Leaders::First, "first", "Those that had no recorded vehicle ahead of them"),
+];
+
+/// Methods that estimate the probability of a rare failure.
+pub(super) const RARE_METHODS: &[Choice<RareMethod>] = &[
+    (RareMethod::Splitting, "splitting", "Populations climb level by level"),
+    (
+        RareMethod::Importance,
+        "importance",
+        "Draws from a law fitted to where such populations arrive, with exact weights",
+    ),
+];
+
+/// Detail of the log of a search.
+pub(super) const LOGS: &[Choice<Log>] = &[
+    (Log::Full, "full", "All of it, as rows of Parquet files"),
+    (Log::Summary, "summary", "Nothing: the summary and the counterexamples alone"),
 ];
 
 /// One of `choices`, by its name.

@@ -68,20 +68,13 @@ impl Cruise {
         if let Some(path) = &self.certificate {
             reach::keep(path, &proved.certificate, plan.network_bytes())?;
         }
-        let printed = output::print_for(
-            self.format,
-            &match self.format {
-                Format::Json => {
-                    let result = serde_json::json!({
-                        "network": place.to_string(), "shape": shape, "cells": self.cells,
-                        "proved": { "margin_m": proved.margin_m, "x_ego_m": proved.x_ego_m, "seconds": proved.seconds },
-                        "checked_in_s": checked_s, "sampled": sampled,
-                    });
-                    serde_json::to_string(&result).map_err(Failure::input)? + "\n"
-                }
-                Format::Text => self.text(&shape, &proved, (&accepted, checked_s), &sampled),
-            },
-        );
+        let result = serde_json::json!({
+            "network": place.to_string(), "shape": shape, "cells": self.cells,
+            "proved": { "margin_m": proved.margin_m, "x_ego_m": proved.x_ego_m, "seconds": proved.seconds },
+            "checked_in_s": checked_s, "sampled": sampled,
+        });
+        let words = || self.text(&shape, &proved, (&accepted, checked_s), &sampled);
+        let printed = output::print_result(self.format, &result, words);
         let gate = if proved.margin_m >= 0.0 {
             Ok(())
         } else {

@@ -114,10 +114,8 @@ impl Describe {
             controller_file: String::new(),
         };
         description.controller_file = description.starter(network.saved_model());
-        match self.format {
-            Format::Json => output::print_json(&description),
-            Format::Text => output::print(&format!("{}{}", description.comments(), description.controller_file)),
-        }
+        let words = || format!("{}{}", description.comments(), description.controller_file);
+        output::print_result(self.format, &description, words)
     }
 }
 

@@ -34,13 +34,8 @@ struct DescribedVariable<'a> {
 pub(super) fn describe(file: &Path, format: Format) -> Result<(), Failure> {
     let fmu = Fmu::open(file).map_err(|error| Failure::Input(format!("{}: {error}", file.display())))?;
     let description = fmu.description();
-    match format {
-        Format::Json => output::print_json(&DescribedFmu::new(file, description)),
-        Format::Text => {
-            let lines = description.to_string();
-            output::print(&lines.lines().map(|line| format!("{}\n", Terminal(line))).collect::<String>())
-        }
-    }
+    let words = || description.to_string().lines().map(|line| format!("{}\n", Terminal(line))).collect();
+    output::print_result(format, &DescribedFmu::new(file, description), words)
 }
 
 impl<'a> DescribedFmu<'a> {

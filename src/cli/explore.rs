@@ -72,10 +72,8 @@ impl Explore {
         let server = Server::bind(self.port, offer)?;
         let (address, port) = (server.address(), server.port());
         let page = format!("{address}{page}");
-        output::print(&match self.format {
-            Format::Json => serde_json::to_string(&Address { address, page, port }).map_err(Failure::input)? + "\n",
-            Format::Text => format!("{page}\n"),
-        })?;
+        let words = format!("{page}\n");
+        output::print_result(self.format, &Address { address, page, port }, || words)?;
         output::note("open this address in a browser on this machine; Ctrl-C ends it", quiet);
         Ok(server.run()?)
     }

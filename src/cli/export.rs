@@ -139,10 +139,7 @@ impl Export {
             };
             format!("{}: {} vehicles, {} vertices{under}\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
         };
-        match self.format {
-            Format::Json => output::print_json(&exported),
-            Format::Text => output::print(&exported.iter().map(line).collect::<String>()),
-        }
+        output::print_result(self.format, &exported, || exported.iter().map(line).collect())
     }
 
     /// Returns what drives the vehicles under test: what the user names, or else what a counterexample is recorded with. None where no

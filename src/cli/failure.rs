@@ -6,8 +6,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::output;
-use crumple_report::assessment::ConfigError;
+use crumple_learn::retrain::RetrainError;
+use crumple_learn::rl::GatherError;
+use crumple_report::assessment::{AssessError, ConfigError, EvidenceShardError, StoreError};
 use crumple_store::disk::DiskError;
+use crumple_search::evidence::rare::RareError;
+use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::suite::{SuiteError, SuiteShardError};
 use crumple_store::work::WorkError;
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
@@ -77,15 +82,6 @@ impl From<DiskError> for Failure {
     }
 }
 
-impl From<WorkError> for Failure {
-    fn from(error: WorkError) -> Self {
-        match error {
-            WorkError::Disk(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
-}
-
 impl From<FileError> for Failure {
     fn from(error: FileError) -> Self {
         match error {
@@ -105,24 +101,32 @@ impl From<RecordingError> for Failure {
     }
 }
 
-impl From<ConfigError> for Failure {
-    fn from(error: ConfigError) -> Self {
-        match error {
-            ConfigError::File(file) => file.into(),
-            other => Self::input(other),
+/// Converts errors. Those of the named variants have an exit code of their own; all others mean unusable input.
+macro_rules! from_errors {
+    ($($error:ident { $($inner:ident),* })*) => {$(
+        impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                match error {
+                    $($error::$inner(error) => error.into(),)*
+                    other => Self::input(other),
+                }
+            }
         }
-    }
+    )*};
 }
 
-/// What was found says nothing, and it is the controller that has to be mended.
-impl From<RefusedController> for Failure {
-    fn from(error: RefusedController) -> Self {
-        Self::input(error)
-    }
-}
-
-impl From<RunError> for Failure {
-    fn from(error: RunError) -> Self {
-        Self::input(error)
-    }
+from_errors! {
+    AssessError { Store, Campaign }
+    CampaignError { Disk, Work }
+    ConfigError { File }
+    EvidenceShardError { Work, Assess }
+    GatherError { Work, Training }
+    RareError { Work, Merge }
+    RefusedController {}
+    RetrainError { Disk, Work, Campaign, Training }
+    RunError {}
+    StoreError { Disk }
+    SuiteError { File }
+    SuiteShardError { Work }
+    WorkError { Disk }
 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignError, Log, MergedCampaign, MethodSummary, Progress, ShardDone, Summary,
+    Aim, Campaign, Log, MergedCampaign, MethodSummary, Progress, ShardDone, Summary,
 };
 use crumple_search::falsify::{Contrast, Method, Relation, non_finite};
 use crumple_store::shard::Shard;
@@ -84,8 +84,8 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
     estimator: EstimatorKind,
     /// What is kept of every evaluation [default: full; of a shard, summary]
-    #[arg(long, value_enum, value_name = "L")]
-    log: Option<LogName>,
+    #[arg(long, value_name = "L", value_parser = choice::one_of(choice::LOGS))]
+    log: Option<Log>,
     /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
@@ -146,17 +146,9 @@ impl Expectation {
     }
 }
 
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum LogName {
-    /// Every evaluation, as a row of a compressed CSV file
-    Full,
-    /// Nothing: the summary and the counterexamples alone
-    Summary,
-}
-
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        if let (Some(shard), Some(LogName::Full)) = (self.shard, self.log) {
+        if let (Some(shard), Some(Log::Full)) = (self.shard, self.log) {
             let problem = "a shard keeps no log, so that it is four files: leave --log away, or --shard";
             return Err(Failure::Input(format!("--log: shard {shard}: {problem}")));
         }
@@ -205,10 +197,8 @@ impl Falsify {
             bar.finish_and_clear();
             return made(shard, done?, &out, self.format);
         }
-        let (log, kept) = match self.log {
-            Some(LogName::Summary) => (Log::Summary, ""),
-            Some(LogName::Full) | None => (Log::Full, ", evaluations"),
-        };
+        let log = self.log.unwrap_or(Log::Full);
+        let kept = if log == Log::Full { ", evaluations" } else { "" };
         let summary = campaign.run_keeping(log, &out, self.resume, &mut show);
         bar.finish_and_clear();
         let summary = summary?;
@@ -221,17 +211,17 @@ impl Falsify {
 
 /// Says what came of a shard.
 fn made(shard: Shard, done: ShardDone, out: &Path, format: Format) -> Result<(), Failure> {
-    output::print(&match format {
-        Format::Json => serde_json::to_string(&done).map_err(Failure::input)? + "\n",
-        Format::Text => format!(
+    let words = || {
+        format!(
             "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
             done.evaluations,
             failures(done.failures),
             done.kinds,
             if done.kinds == 1 { "" } else { "s" },
             out.display()
-        ),
-    })
+        )
+    };
+    output::print_result(format, &done, words)
 }
 
 /// Puts shards together to a campaign, and prints its summary. What is missing ends with exit code 1, and keeps it from being written
@@ -305,13 +295,7 @@ impl<'a> SummaryReport<'a> {
 }
 
 fn print(summary: &Summary, format: Format) -> Result<(), Failure> {
-    output::print_for(
-        format,
-        &match format {
-            Format::Json => serde_json::to_string(&SummaryReport::of(summary)).map_err(Failure::input)? + "\n",
-            Format::Text => summary.to_text(),
-        },
-    )
+    output::print_result(format, &SummaryReport::of(summary), || summary.to_text())
 }
 
 fn failures(count: u64) -> String {
@@ -327,14 +311,4 @@ fn space(name: &str) -> Result<Space, Failure> {
         UnknownSpace::File(error) => error.into(),
         other => Failure::input(other),
     })
-}
-
-impl From<CampaignError> for Failure {
-    fn from(error: CampaignError) -> Self {
-        match error {
-            CampaignError::Disk(error) => error.into(),
-            CampaignError::Work(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
 }

@@ -56,12 +56,6 @@ impl Finding {
 
     /// Prints a report, in words or as one JSON object.
     pub(super) fn print<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), Failure> {
-        output::print_for(
-            self.format,
-            &match self.format {
-                Format::Json => serde_json::to_string(report).map_err(Failure::input)? + "\n",
-                Format::Text => describe(report),
-            },
-        )
+        output::print_result(self.format, report, || describe(report))
     }
 }

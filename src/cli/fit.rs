@@ -7,17 +7,17 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
-use super::import::{Leading, min_brake, picture};
+use super::import::{min_brake, picture};
 use super::output_folder::stage_unless_edited;
 use super::simulate::{Format, ending_in};
-use super::{Failure, output};
+use super::{Failure, choice, output};
 use crumple_report::figures;
 use crumple_store::disk::Files;
 use crumple_search::fit::{FamilyFit, Fitted, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
 use crumple_core::digits;
 use crumple_core::quoted::Terminal;
-use crumple_world::recording::load;
 use crumple_world::recording::map::RecordingMap;
+use crumple_world::recording::{Leaders, load};
 use crumple_world::scenario::space::file;
 
 /// Fit a search space to the braking episodes of recordings
@@ -45,8 +45,8 @@ pub(super) struct Fit {
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
     /// Whose braking makes an episode
-    #[arg(long, value_enum, default_value = "any")]
-    leaders: Leading,
+    #[arg(long, default_value = "any", value_parser = choice::one_of(choice::LEADERS))]
+    leaders: Leaders,
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
@@ -87,7 +87,7 @@ impl Fit {
         let taken = Taken {
             vehicles: usize::from(self.vehicles),
             min_brake: min_brake(self.min_brake)?,
-            leaders: self.leaders.into(),
+            leaders: self.leaders,
         };
         let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
         for path in &self.recordings {
@@ -108,14 +108,11 @@ impl Fit {
             stage_unless_edited(&mut files, path, &picture(&figures::fitted(&fitted), path)?, self.force)?;
         }
         files.commit()?;
-        output::print(&match self.format {
-            Format::Text => in_words(&sample, &fitted),
-            Format::Json => as_json(&sample, &fitted) + "\n",
-        })
+        output::print_result(self.format, &as_json(&sample, &fitted), || in_words(&sample, &fitted))
     }
 }
 
-fn as_json(sample: &Sample, fitted: &Fitted) -> String {
+fn as_json(sample: &Sample, fitted: &Fitted) -> serde_json::Value {
     json!({
         "space": fitted.space.name(),
         "exposure": sample.exposure,
@@ -126,7 +123,6 @@ fn as_json(sample: &Sample, fitted: &Fitted) -> String {
         "depending": fitted.depending,
         "correlation": fitted.correlation,
     })
-    .to_string()
 }
 
 fn waves(sample: &Sample) -> u32 {

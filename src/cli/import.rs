@@ -4,13 +4,13 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
 use super::Failure;
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::Format;
-use super::{feature, output, simulate};
+use super::{choice, feature, output, simulate};
 use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_store::disk::{DiskError, Files};
@@ -50,8 +50,8 @@ pub(super) struct Import {
           conflicts_with_all = ["out", "leaders", "min_brake"])]
     preview: Option<PathBuf>,
     /// Whose braking makes an episode
-    #[arg(long, value_enum, default_value = "any")]
-    leaders: Leading,
+    #[arg(long, default_value = "any", value_parser = choice::one_of(choice::LEADERS))]
+    leaders: Leaders,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
@@ -112,23 +112,6 @@ impl ImportedAll {
             scenarios: imported.scenarios.iter().map(file).collect(),
             recordings: imported.sources.iter().map(one).collect(),
             left_out: imported.dropped.iter().map(ToString::to_string).collect(),
-        }
-    }
-}
-
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-pub(super) enum Leading {
-    /// Every vehicle with another behind it
-    Any,
-    /// Those that had no recorded vehicle ahead of them
-    First,
-}
-
-impl From<Leading> for Leaders {
-    fn from(leading: Leading) -> Self {
-        match leading {
-            Leading::Any => Self::Any,
-            Leading::First => Self::First,
         }
     }
 }
@@ -202,7 +185,7 @@ impl Import {
     }
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
-        let (min_brake, leaders) = (min_brake(self.min_brake)?, self.leaders.into());
+        let (min_brake, leaders) = (min_brake(self.min_brake)?, self.leaders);
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
@@ -226,16 +209,13 @@ impl Import {
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);
         }
-        if self.format == Format::Json {
-            return output::print_json(&ImportedAll::of(&imported, &self.out));
-        }
-        let mut text = String::new();
-        for source in &imported.sources {
+        let line = |source: &Source| {
             let plural = if source.scenarios == 1 { "" } else { "s" };
             let (path, format) = (source.path.display().to_string(), source.format.name());
-            text += &format!("{}: {} scenario{plural} ({format})\n", Terminal(&path), source.scenarios);
-        }
-        output::print(&text)
+            format!("{}: {} scenario{plural} ({format})\n", Terminal(&path), source.scenarios)
+        };
+        let words = || imported.sources.iter().map(line).collect();
+        output::print_result(self.format, &ImportedAll::of(&imported, &self.out), words)
     }
 
     /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.

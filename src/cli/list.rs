@@ -5,6 +5,7 @@ use std::fmt::Write;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
+use super::simulate::Format;
 use super::{Failure, output};
 use crumple_search::falsify::Method;
 use crumple_world::control::ControllerSpec;
@@ -30,7 +31,7 @@ pub(super) struct List {
     what: Option<Catalogue>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: super::simulate::Format,
+    format: Format,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -88,17 +89,9 @@ impl List {
             Some(one) => vec![one],
             None => Catalogue::value_variants().to_vec(),
         };
-        let text = match self.format {
-            super::simulate::Format::Json => {
-                let all: serde_json::Map<_, _> = catalogues
-                    .iter()
-                    .map(|catalogue| (catalogue.title().to_owned(), serde_json::json!(catalogue.entries())))
-                    .collect();
-                format!("{}\n", serde_json::Value::Object(all))
-            }
-            super::simulate::Format::Text => table(&catalogues),
-        };
-        output::print(&text)
+        let entries = |one: &Catalogue| (one.title().to_owned(), serde_json::json!(one.entries()));
+        let all: serde_json::Map<_, _> = catalogues.iter().map(entries).collect();
+        output::print_result(self.format, &all, || table(&catalogues))
     }
 }
 

@@ -4,7 +4,6 @@ mod assess;
 mod avoid;
 mod benchmark;
 mod check;
-mod checked;
 mod choice;
 mod cruise;
 mod describe;

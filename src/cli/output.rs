@@ -85,6 +85,18 @@ fn coloured(line: &str) -> String {
     }
 }
 
+/// Prints a result, in words or as one JSON object.
+pub(super) fn print_result(
+    format: Format,
+    object: &impl Serialize,
+    words: impl FnOnce() -> String,
+) -> Result<(), Failure> {
+    match format {
+        Format::Json => print_json(object),
+        Format::Text => print_for(format, &words()),
+    }
+}
+
 /// Prints one JSON object in a line.
 pub(super) fn print_json(object: &impl Serialize) -> Result<(), Failure> {
     print(&(serde_json::to_string(object).map_err(Failure::input)? + "\n"))

@@ -2,50 +2,40 @@
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// A bar on standard error for `total` runs. It is drawn only on a terminal.
+/// Draws on standard error, and only if that is a terminal.
+fn progress(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
+    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::with_draw_target(total, target).with_style(style)
+}
+
+/// Shows a bar for `total` runs.
 pub(super) fn bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let template = "{msg} {bar:30} {human_pos}/{human_len} runs, {eta} left";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(total), target).with_style(style).with_message(what)
+    progress(template, Some(total), quiet).with_message(what)
 }
 
-/// A bar for `total` episodes of training; its message says how it goes.
+/// Shows a bar for `total` episodes of training, with a message.
 pub(super) fn training_bar(total: u64, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let template = "training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(total), target).with_style(style)
+    progress("training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}", Some(total), quiet)
 }
 
-/// A bar for `total` evaluations of a campaign, as wide as the terminal; its message says how it goes.
+/// Shows a bar for `total` evaluations of a campaign, as wide as the terminal, with a message.
 pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let template = "{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(total), target).with_style(style)
+    progress("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
 }
 
-/// A count of runs without a known end.
+/// Counts runs whose total is unknown.
 pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let style = ProgressStyle::with_template("{msg} {spinner} {human_pos} runs")
-        .unwrap_or_else(|_| ProgressStyle::default_spinner());
-    ProgressBar::with_draw_target(None, target).with_style(style).with_message(what)
+    progress("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
 }
 
-/// A line for `total` depths of cutting a box; its message says how it goes.
+/// Shows a line for `total` depths of a partition, with a message.
 pub(super) fn depths(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let style =
-        ProgressStyle::with_template("{prefix} {spinner} {msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(total), target).with_style(style).with_prefix(what)
+    progress("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
 }
 
-/// A line that says what is being done, where there is no telling how long it takes.
+/// Shows a line for work of unknown length, with a message.
 pub(super) fn line(quiet: bool) -> ProgressBar {
-    let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let style =
-        ProgressStyle::with_template("{spinner} {msg} ({elapsed})").unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(None, target).with_style(style)
+    progress("{spinner} {msg} ({elapsed})", None, quiet)
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
 use crumple_search::evidence::rare::{
-    Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareError, RareFolder, RareMethod, RarePlan, RareReport,
+    Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_store::shard::{MissingShards, Shard};
 use crumple_core::digits;
@@ -43,10 +43,7 @@ pub(super) fn estimate(
             report
         }
     };
-    output::print(&match format {
-        Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-        Format::Text => text(&report),
-    })
+    output::print_result(format, &report, || text(&report))
 }
 
 /// Makes all runs of an estimate that are not kept in its folder.
@@ -96,10 +93,8 @@ pub(super) fn shard(
         repeated?;
     }
     let said = "`crumple merge` puts it together with the others";
-    match format {
-        Format::Json => output::print_json(&ShardReport { folder, shard }),
-        Format::Text => output::print(&format!("{}: shard {shard}; {said}\n", folder.display())),
-    }
+    let words = || format!("{}: shard {shard}; {said}\n", folder.display());
+    output::print_result(format, &ShardReport { folder, shard }, words)
 }
 
 /// A shard that is made, for programs.
@@ -128,20 +123,7 @@ pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> R
         };
         return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
-    output::print(&match format {
-        Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-        Format::Text => text(&report),
-    })
-}
-
-impl From<RareError> for Failure {
-    fn from(error: RareError) -> Self {
-        match error {
-            RareError::Work(error) => error.into(),
-            RareError::Merge(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
+    output::print_result(format, &report, || text(&report))
 }
 
 /// A larger share of one run in an estimate is worth a word.

@@ -102,30 +102,21 @@ impl Reach {
         }
         let Partition { shares, doubts, .. } = &partition;
         let is_verified = is_positive(shares, |now| now.verified);
-        let printed = output::print_for(
-            self.format,
-            &match self.format {
-                Format::Json => {
-                    let result = self.result(&partition, &accepted);
-                    serde_json::to_string(&result).map_err(Failure::input)? + "\n"
-                }
-                Format::Text => {
-                    let last = shares.len().saturating_sub(1);
-                    let lines: String =
-                        shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
-                    let Doubts { ahead, behind, too_wide } = doubts;
-                    let falsified = match is_positive(shares, |now| now.falsified) {
-                        true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
-                        false => "",
-                    };
-                    let verdict = if is_verified { "accepted" } else { "nothing verified" };
-                    format!(
-                        "{lines}{falsified}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too \
-                         wide\n{verdict}: {accepted}\n"
-                    )
-                }
-            },
-        );
+        let words = || {
+            let last = shares.len().saturating_sub(1);
+            let lines: String = shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
+            let Doubts { ahead, behind, too_wide } = doubts;
+            let falsified = match is_positive(shares, |now| now.falsified) {
+                true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
+                false => "",
+            };
+            let verdict = if is_verified { "accepted" } else { "nothing verified" };
+            format!(
+                "{lines}{falsified}undecided boxes: {ahead} may touch ahead, {behind} behind, {too_wide} with bounds too \
+                 wide\n{verdict}: {accepted}\n"
+            )
+        };
+        let printed = output::print_result(self.format, &self.result(&partition, &accepted), words);
         let deeper = if is_positive(shares, |now| now.undecided) { "; a larger --depth may" } else { "" };
         let problem = format!("{place}: no part of the box was verified{deeper}");
         Failure::gate_first(if is_verified { Ok(()) } else { Err(Failure::Gate(problem)) }, printed)

@@ -131,10 +131,7 @@ impl Retrain {
         bar.finish_and_clear();
         let report = report.map_err(|error| as_named(error, &self.preset))?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
-        let printed = output::print(&match self.format {
-            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-            Format::Text => report.to_markdown(),
-        });
+        let printed = output::print_result(self.format, &report, || report.to_markdown());
         Failure::gate_first(gate(&report), printed)
     }
 }
@@ -235,16 +232,4 @@ fn show(bar: &ProgressBar, state: Progress) {
         Progress::Judging { round } => format!("round {round}: judging the candidate"),
     });
     bar.tick();
-}
-
-impl From<RetrainError> for Failure {
-    fn from(error: RetrainError) -> Self {
-        match error {
-            RetrainError::Disk(error) => error.into(),
-            RetrainError::Work(error) => error.into(),
-            RetrainError::Campaign(campaign) => campaign.into(),
-            RetrainError::Training(training) => training.into(),
-            other => Self::input(other),
-        }
-    }
 }

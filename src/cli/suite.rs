@@ -10,8 +10,7 @@ use super::{Failure, choice, interrupt, output, progress, subject, suite_folder,
 use crumple_report::suite;
 use crumple_store::shard::{MissingShards, Shard};
 use crumple_search::suite::{
-    Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteError, SuiteResult, SuiteShardError, TestVerdict,
-    Tested, run, run_shard,
+    Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteResult, TestVerdict, Tested, run, run_shard,
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -171,15 +170,6 @@ impl SuiteCommand {
     }
 }
 
-impl From<SuiteError> for Failure {
-    fn from(error: SuiteError) -> Self {
-        match error {
-            SuiteError::File(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
-}
-
 /// The suite that is shipped under a name, or the one in a file.
 fn find(name: &str) -> Result<Suite, Failure> {
     if let Some(suite) = Suite::shipped(name) {
@@ -194,32 +184,23 @@ fn find(name: &str) -> Result<Suite, Failure> {
 }
 
 fn list(format: super::simulate::Format) -> Result<(), Failure> {
-    let mut entries = Vec::new();
+    let mut suites = Vec::new();
+    // Writing to a string cannot fail.
+    let mut text = String::new();
     for (name, _) in SHIPPED {
         let suite = find(name)?;
         let spec = suite.spec();
-        entries.push((name, spec.about.clone(), format!("{}, {}", spec.document, spec.edition)));
+        let document = format!("{}, {}", spec.document, spec.edition);
+        let _ = writeln!(text, "  {name:<20}{} {document}", spec.about);
+        suites.push(serde_json::json!({ "name": name, "about": spec.about, "document": document }));
     }
-    output::print(&match format {
-        super::simulate::Format::Json => {
-            let entry = |(name, about, document): &(&str, String, String)| serde_json::json!({ "name": name, "about": about, "document": document });
-            let suites: Vec<_> = entries.iter().map(entry).collect();
-            let absent = |(document, why): &(&str, &str)| serde_json::json!({ "document": document, "why": why });
-            let absent: Vec<_> = NOT_SHIPPED.iter().map(absent).collect();
-            format!("{}\n", serde_json::json!({ "statement": STATEMENT, "suites": suites, "not_shipped": absent }))
-        }
-        super::simulate::Format::Text => {
-            let mut text = String::new();
-            for (name, about, document) in entries {
-                // Writing to a string cannot fail.
-                let _ = writeln!(text, "  {name:<20}{about} {document}");
-            }
-            for (document, why) in NOT_SHIPPED {
-                let _ = writeln!(text, "Not shipped: {document}; {why}.");
-            }
-            format!("{text}{STATEMENT}\n")
-        }
-    })
+    let mut absent = Vec::new();
+    for (document, why) in NOT_SHIPPED {
+        let _ = writeln!(text, "Not shipped: {document}; {why}.");
+        absent.push(serde_json::json!({ "document": document, "why": why }));
+    }
+    let all = serde_json::json!({ "statement": STATEMENT, "suites": suites, "not_shipped": absent });
+    output::print_result(format, &all, || format!("{text}{STATEMENT}\n"))
 }
 
 fn show(name: &str) -> Result<(), Failure> {
@@ -358,13 +339,4 @@ fn replay(out: &Path, failed: &Failed, tested: &Tested, estimator: EstimatorKind
     let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
     let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();
     Some(format!("crumple {}", words.join(" ")))
-}
-
-impl From<SuiteShardError> for Failure {
-    fn from(error: SuiteShardError) -> Self {
-        match error {
-            SuiteShardError::Work(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
 }

@@ -122,10 +122,7 @@ impl MapCommand {
             files.stage(&output::place(&picture.path)?, picture.render(&map)?)?;
         }
         files.commit()?;
-        output::print(&match self.format {
-            Format::Json => json(&map)?,
-            Format::Text => map_text(&map),
-        })
+        output::print_result(self.format, &map, || map_text(&map))
     }
 }
 

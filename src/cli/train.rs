@@ -12,7 +12,7 @@ use super::preset::Preset;
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_learn::rl::{
-    ConfigError, Event, GatherError, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
+    ConfigError, Event, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
     TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
 };
 use crumple_store::disk;
@@ -156,10 +156,7 @@ impl Train {
         let mut printed = Ok(());
         if !done.is_empty() {
             work::exclusively(&self.out, || write_results(&self.out, &config, quiet))?;
-            printed = match self.format {
-                Format::Json => output::print_json(&done),
-                Format::Text => output::print(&table(&done, config.evaluation.ranking_draws)),
-            };
+            printed = output::print_result(self.format, &done, || table(&done, config.evaluation.ranking_draws));
         }
         Failure::gate_first(failure.map_or_else(|| gate(&done), Err), printed)
     }
@@ -354,16 +351,6 @@ fn table(results: &[SeedResult], ranking_draws: u64) -> String {
     }
     text + "held out, unseen: contacts in draws that select the policy, and in draws that had no part in it; gap: smallest \
             over all but the unseen\n"
-}
-
-impl From<GatherError> for Failure {
-    fn from(error: GatherError) -> Self {
-        match error {
-            GatherError::Work(error) => error.into(),
-            GatherError::Training(error) => error.into(),
-            other => Self::input(other),
-        }
-    }
 }
 
 impl From<TrainingError> for Failure {

@@ -2,18 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use crumple_verify::{Certificate, Statement};
 use serde::Serialize;
 
-use super::checked::{self, Checked};
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
 use crumple_search::evidence::exposed::ExposedRate;
 use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
-use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan, Tally, shipped_kernels};
+use crumple_search::evidence::{
+    CertificateReport, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels,
+};
 use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -91,9 +92,9 @@ struct Rate {
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting: no certificate
-    #[arg(long, value_enum, value_name = "METHOD", num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
+    #[arg(long, value_name = "METHOD", value_parser = choice::one_of(choice::RARE_METHODS), num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
         conflicts_with_all = ["runs", "against", "confidence"])]
-    rare: Option<RareName>,
+    rare: Option<RareMethod>,
     /// With --rare: what must hold, as in `crumple falsify` [default: no contact]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
@@ -131,23 +132,6 @@ struct Rate {
     resume: bool,
 }
 
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum RareName {
-    /// Populations climb level by level
-    Splitting,
-    /// Draws from a law fitted to where such populations arrive, with exact weights
-    Importance,
-}
-
-impl RareName {
-    fn method(self) -> RareMethod {
-        match self {
-            Self::Splitting => RareMethod::Splitting,
-            Self::Importance => RareMethod::Importance,
-        }
-    }
-}
-
 impl Verify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         match self.claim {
@@ -170,12 +154,12 @@ impl Shield {
         OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
         let mut all = Vec::new();
         for (name, certificate) in &kernels {
-            let checked = Checked::now(&self.out.join(file(name)), certificate);
-            text += &checked.said()?;
-            all.push(checked);
+            let report = CertificateReport::new(self.out.join(file(name)).display().to_string(), certificate);
+            text += &said(&report)?;
+            all.push(report);
         }
         match self.format {
-            Format::Json => output::print(&checked::json(&all).map_err(Failure::input)?),
+            Format::Json => output::print(&report_json(&all).map_err(Failure::input)?),
             Format::Text => output::print_for(Format::Text, &text),
         }
     }
@@ -218,12 +202,9 @@ impl Rate {
             bar.finish_and_clear();
             done?;
             let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
-            return match self.format {
-                Format::Json => {
-                    output::print_json(&CountReport { shard: Some(shard), ..CountReport::of(part.tally(), &out) })
-                }
-                Format::Text => output::print(&format!("{}{said}", counted(is_comparison, part.tally()))),
-            };
+            let report = CountReport { shard: Some(shard), ..CountReport::of(part.tally(), &out) };
+            let words = || format!("{}{said}", counted(is_comparison, part.tally()));
+            return output::print_result(self.format, &report, words);
         }
         let mut count = plan.register_in(&out, self.resume)?;
         registered();
@@ -239,12 +220,8 @@ impl Rate {
             // What was counted is an answer, too.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let confidence = Some(plan.registration().confidence);
-                let printed = match self.format {
-                    Format::Json => {
-                        output::print_json(&CountReport { confidence, ..CountReport::of(count.tally(), &out) })
-                    }
-                    Format::Text => output::print(&counted(is_comparison, count.tally())),
-                };
+                let report = CountReport { confidence, ..CountReport::of(count.tally(), &out) };
+                let printed = output::print_result(self.format, &report, || counted(is_comparison, count.tally()));
                 return Failure::gate_first(Err(rejected.into()), printed);
             }
             Err(error) => return Err(error.into()),
@@ -254,23 +231,20 @@ impl Rate {
         let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?;
-        match self.format {
-            Format::Json => {
-                // As accepted above.
-                let rate_at_most = match &certificate.statement {
-                    Statement::Rate(rate) => Some(rate.rate_at_most),
-                    _ => None,
-                };
-                let confidence = Some(plan.registration().confidence);
-                let certificate = Some(path.as_path());
-                let report = CountReport::of(count.tally(), &out);
-                output::print_json(&CountReport { certificate, rate_at_most, confidence, exposed, ..report })
-            }
-            Format::Text => {
-                let exposed = exposed.map(|rate| exposed::text(&rate)).unwrap_or_default();
-                output::print_for(Format::Text, &format!("{}{said}{exposed}", counted(is_comparison, count.tally())))
-            }
-        }
+        let on_the_road = exposed.as_ref().map(exposed::text).unwrap_or_default();
+        let words = || format!("{}{said}{on_the_road}", counted(is_comparison, count.tally()));
+        let report = CountReport {
+            certificate: Some(&path),
+            // As accepted above.
+            rate_at_most: match &certificate.statement {
+                Statement::Rate(rate) => Some(rate.rate_at_most),
+                _ => None,
+            },
+            confidence: Some(plan.registration().confidence),
+            exposed,
+            ..CountReport::of(count.tally(), &out)
+        };
+        output::print_result(self.format, &report, words)
     }
 
     fn estimate(self, quiet: bool) -> Result<(), Failure> {
@@ -287,7 +261,7 @@ impl Rate {
             space,
             estimator: self.estimator,
             specification,
-            method: self.rare.map_or(RareMethod::default(), RareName::method),
+            method: self.rare.unwrap_or_default(),
             seed: self.seed,
             effort: Effort {
                 samples: self.samples.unwrap_or(500) as usize,
@@ -383,7 +357,15 @@ pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
 
 /// What the checker says of a certificate that goes to `path`.
 pub(super) fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
-    Checked::now(path, certificate).said()
+    said(&CertificateReport::new(path.display().to_string(), certificate))
+}
+
+/// Says in a line what the checker accepted; a rejection is a failed gate.
+fn said(report: &CertificateReport<'_>) -> Result<String, Failure> {
+    match &report.accepted {
+        Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),
+        Err(rejection) => Err(Failure::Gate(format!("{}: rejected: {rejection}", report.path))),
+    }
 }
 
 impl From<RateFolderError> for Failure {

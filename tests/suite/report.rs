@@ -45,15 +45,6 @@ fn assert_current(name: &str, now: &[u8]) {
     );
 }
 
-/// The text and the evidence of the built-in assessment, numbers rounded in their types. Review a change with `cargo insta`.
-#[test]
-fn the_built_in_assessment_says_what_it_said() {
-    insta::with_settings!({ snapshot_path => "snapshots", prepend_module_to_snapshot => false, omit_expression => true }, {
-        insta::assert_snapshot!("assessment_md", BUILT_IN.markdown());
-        insta::assert_json_snapshot!("assessment_json", serde_json::to_value(&*BUILT_IN).expect("serializes"));
-    });
-}
-
 /// A box of initial states goes by the name of a scenario whose own lies in it.
 #[test]
 fn no_claim_is_named_by_a_hash() {

@@ -8,7 +8,7 @@ use crumple_world::scenario::{Driver, LeadProfile, Pieces, RampBrake, built_in, 
 use serde_json::{Value, json};
 use std::path::Path;
 
-use super::{code, crumple, folder, objects, stderr, stdout};
+use super::{code, crumple, done, folder, objects, stderr, stdout};
 
 fn read(folder: &Path, name: &str) -> Certificate {
     Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
@@ -21,8 +21,7 @@ fn write(folder: &Path, name: &str, certificate: &Certificate) {
 /// 300 runs of idm that nobody fails in, in `DIR/certificate.json`.
 fn count(folder: &Path, out: &str, more: &[&str]) {
     let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
-    let output = crumple(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    done(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
 }
 
 #[test]
@@ -164,8 +163,7 @@ fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     let folder = folder();
     count(folder.path(), "idm", &[]);
     let sampled = |more: &[&str]| {
-        let output = crumple(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let output = done(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
         output
     };
     let report = &objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];

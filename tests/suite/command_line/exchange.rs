@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crumple_world::recording::map::{RecordingMap, json_schema};
 
-use super::{assert_refused, code, crumple, folder, names_in, stderr, stdout};
+use super::{assert_refused, code, crumple, done, folder, names_in, stderr, stdout};
 use crate::schema::{assert_committed, validate};
 
 /// The examples are maps, the schema says what they are, and it is committed.
@@ -129,8 +129,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     let folder = folder();
     let search =
         ["falsify", "--controller", "match-leader", "--space", "high-risk", "--budget", "10", "--out", "found"];
-    let found = crumple(folder.path(), &search);
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = done(folder.path(), &search);
     let files = names_in(&folder.path().join("found/counterexamples"));
     let name = files.iter().find(|name| name.contains("-hits-")).expect("a collision");
     let file = format!("found/counterexamples/{name}");

@@ -10,7 +10,9 @@ use std::time::Duration;
 use flate2::read::GzDecoder;
 use serde_json::Value;
 
-use super::{assert_refused, code, command, crumple, folder, killed_at_random, names_in, objects, stderr, stdout};
+use super::{
+    assert_refused, code, command, crumple, done, folder, killed_at_random, names_in, objects, stderr, stdout,
+};
 use crumple_search::falsify::counterexample::ExpectedFile;
 
 /// Every file below a folder, by its path from there.
@@ -103,8 +105,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         "--format",
         "json",
     ];
-    let output = crumple(folder.path(), &campaign);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = done(folder.path(), &campaign);
     let summary = objects(&output).remove(0);
     assert_eq!((&summary["evaluations"], &summary["falsified"]), (&40.into(), &true.into()));
     assert!(summary["first_falsification"].as_u64().unwrap() <= 3, "{}", summary["first_falsification"]);
@@ -131,7 +132,7 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         // The file needs nothing else, and a finer step changes nothing.
         let file = format!("found/{}", found["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
-            let replayed = crumple(
+            let replayed = done(
                 folder.path(),
                 &[
                     "simulate",
@@ -146,7 +147,6 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
                     "json",
                 ],
             );
-            assert_eq!(code(&replayed), 0, "{}", stderr(&replayed));
             let outcome = &objects(&replayed)[0]["outcome"];
             assert_eq!(outcome["rear_vehicle"], found["rear_vehicle"]);
             let (replayed, found) = (outcome["time_s"].as_f64().unwrap(), found["contact_time_s"].as_f64().unwrap());
@@ -214,8 +214,7 @@ fn a_formula_is_falsified_without_a_contact() {
     let formula = "always v1.time_gap_s > 0.3";
     let arguments =
         ["falsify", "--controller", "match-leader", "--space", "paper", "--budget", "60", "--spec", formula];
-    let output = crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = done(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
     let summary = objects(&output).remove(0);
     assert_eq!(summary["specification"], "always (v1.time_gap_s > 0.3)");
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
@@ -245,8 +244,7 @@ fn a_formula_is_falsified_without_a_contact() {
 fn every_toml_file_beside_counterexamples_is_a_scenario() {
     let folder = folder();
     let arguments = ["falsify", "--controller=match-leader", "--space=high-risk", "--budget=40", "--out=found"];
-    let output = crumple(folder.path(), &arguments);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    done(folder.path(), &arguments);
     let counterexamples = folder.path().join("found/counterexamples");
     let files = || {
         let names = names_in(&counterexamples).into_iter().filter(|name| name.ends_with(".toml"));
@@ -256,8 +254,7 @@ fn every_toml_file_beside_counterexamples_is_a_scenario() {
         let files = files();
         let files = files.iter().map(String::as_str);
         let arguments = ["simulate", "--controller=match-leader", "--format=json", "--expect=collision"];
-        let output = crumple(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let output = done(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
         objects(&output).len()
     };
     let found = files().len();
@@ -274,8 +271,7 @@ fn the_front_of_severity_and_likelihood_is_shown() {
     let campaign = |aim: &str, out: &str| {
         let arguments =
             ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60", "--format", "json"];
-        let output = crumple(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let output = done(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
         objects(&output).remove(0)
     };
     let summary = campaign("severest", "severest");
@@ -413,8 +409,7 @@ fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
     let folder = folder();
     let arguments =
         ["benchmark", "chasing-cars", "--budget", "20", "--seeds", "1", "--out", "cars", "--format", "json"];
-    let output = crumple(folder.path(), &arguments);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = done(folder.path(), &arguments);
     let successes: u64 =
         objects(&output)[0]["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
     let files = tree(&folder.path().join("cars"));
@@ -429,8 +424,7 @@ fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
 fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
     let folder = folder();
     let warned = |arguments: &[&str]| {
-        let output = crumple(folder.path(), arguments);
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        let output = done(folder.path(), arguments);
         (stdout(&output).to_owned(), stderr(&output).to_owned())
     };
     let formula = "always v2.gap_m > 1 and v1.gap_m > 5";

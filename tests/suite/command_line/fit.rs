@@ -29,8 +29,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let folder = folder();
     let here = folder.path();
     std::fs::write(here.join("events.csv"), events(40)).unwrap();
-    let fitted = crumple(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
-    assert_eq!(code(&fitted), 0, "{}", stderr(&fitted));
+    let fitted = done(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
     assert!(stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"), "{}", stdout(&fitted));
     let drawn = std::fs::read_to_string(here.join("fit.svg")).unwrap();
     assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
@@ -75,8 +74,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     std::fs::write(here.join("changed.toml"), changed).unwrap();
     let asked =
         ["verify", "rate", "--controller", "baseline", "--space", "changed.toml", "--runs", "50", "--out", "changed"];
-    let counted = crumple(here, &[&asked[..], &["--confidence", "0.9"]].concat());
-    assert_eq!(code(&counted), 0, "{}", stderr(&counted));
+    let counted = done(here, &[&asked[..], &["--confidence", "0.9"]].concat());
     assert!(
         stdout(&counted).contains("without the data's uncertainty: `lead_speed_mps` is not what is fitted"),
         "{counted:?}"

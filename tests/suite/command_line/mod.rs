@@ -29,6 +29,13 @@ pub(crate) fn crumple(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().expect("starts")
 }
 
+/// Runs `crumple` in a folder, and asserts that it succeeds.
+fn done(folder: &Path, arguments: &[&str]) -> Output {
+    let output = crumple(folder, arguments);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    output
+}
+
 fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
     command.current_dir(folder).args(arguments).env("NO_COLOR", "1");
@@ -185,8 +192,7 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         let mut reports = Vec::new();
         for file in TRACES {
             let arguments = ["simulate", "paper-1", "--after-contact", after_contact, "--trace", file];
-            let output = crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
-            assert_eq!(code(&output), 0, "{}", stderr(&output));
+            let output = done(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
             reports = objects(&output);
         }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
@@ -217,8 +223,7 @@ fn plots_are_what_their_names_say() {
     let folder = folder();
     let png = cfg!(feature = "png").then_some(("p.png", &b"\x89PNG\r\n"[..]));
     for (file, opening) in [("p.svg", &b"<"[..])].into_iter().chain(png) {
-        let output = crumple(folder.path(), &["simulate", "paper-1", "--plot", file]);
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        done(folder.path(), &["simulate", "paper-1", "--plot", file]);
         assert!(std::fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
     }
 }
@@ -250,8 +255,7 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
 #[test]
 fn several_scenarios_write_several_traces() {
     let folder = folder();
-    let output = crumple(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    done(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
     assert_eq!(names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
 }
 

@@ -5,14 +5,13 @@ use std::path::Path;
 
 use crumple_core::digest::sha256;
 
-use super::{assert_refused, code, crumple, folder, names_in, objects, stderr, stdout};
+use super::{assert_refused, code, crumple, done, folder, names_in, objects, stderr, stdout};
 
 const COUNT: [&str; 7] =
     ["verify", "rate", "--controller=idm", "--space=high-risk", "--estimator=truth", "--runs=900", "--confidence=0.9"];
 
 fn shard(folder: &Path, which: &str, out: &str) {
-    let output = crumple(folder, &[&COUNT[..], &["--shard", which, "--out", out]].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    done(folder, &[&COUNT[..], &["--shard", which, "--out", out]].concat());
 }
 
 fn same_files(folder: &Path, one: &str, other: &str) {
@@ -105,12 +104,10 @@ const SEARCH: [&str; 5] =
 fn shards_of_a_search_are_one_campaign() {
     let folder = folder();
     let folder = folder.path();
-    let single = crumple(folder, &[&SEARCH[..], &["--log=summary", "--out=single"]].concat());
-    assert_eq!(code(&single), 0, "{}", stderr(&single));
+    let single = done(folder, &[&SEARCH[..], &["--log=summary", "--out=single"]].concat());
     for index in ["1", "2", "3"] {
         let which = format!("{index}/3");
-        let output = crumple(folder, &[&SEARCH[..], &["--shard", &which, "--out", index]].concat());
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        done(folder, &[&SEARCH[..], &["--shard", &which, "--out", index]].concat());
         assert_eq!(names_in(&folder.join(index)), ["findings.json", "shard.json", "work.json", "work.lock"]);
     }
     let output = crumple(folder, &["merge", "3", "1", "--out=campaign"]);
@@ -159,8 +156,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
     let run = ["suite", "run", "afgbv-cut-in", "--controller=match-leader", "--controller=idm", "--estimator=truth"];
     for index in ["1", "2", "3", "4"] {
         let which = format!("{index}/4");
-        let output = crumple(folder, &[&run[..], &["--shard", &which, "--out", index]].concat());
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        done(folder, &[&run[..], &["--shard", &which, "--out", index]].concat());
     }
     for format in ["text", "json", "junit"] {
         let single = crumple(folder, &[&run[..], &["--out=failures", "--format", format]].concat());
@@ -183,8 +179,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
     assert_eq!((&missing["missing_shards"], &missing["of_shards"]), (&serde_json::json!([3]), &serde_json::json!(4)));
     assert_eq!(missing["missing_tests"].as_array().unwrap().len(), 3, "{missing}");
     assert!(!folder.join("x").exists());
-    let other = crumple(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
-    assert_eq!(code(&other), 0, "{}", stderr(&other));
+    let other = done(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
     assert_refused(&crumple(folder, &["merge", "1", "other", "--out=x"]), "the list of controllers differs");
     let results = folder.join("2/results.json");
     let text = fs::read_to_string(&results).unwrap();
@@ -204,8 +199,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     assert_eq!(code(&crumple(folder, &["assess", "a.toml", "--out=single"])), 0);
     for index in ["1", "2"] {
         let which = format!("{index}/2");
-        let output = crumple(folder, &["assess", "a.toml", "--shard", &which, "--out", index]);
-        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        done(folder, &["assess", "a.toml", "--shard", &which, "--out", index]);
         assert_eq!(names_in(&folder.join(index)), ["evidence.json", "shard.json", "work.json", "work.lock"]);
     }
     let output = crumple(folder, &["merge", "2", "--out=report"]);
@@ -216,8 +210,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     let said = &objects(&output)[0];
     assert_eq!((&said["pieces"], &said["missing_shards"]), (&serde_json::json!(3), &serde_json::json!([1])), "{said}");
     assert!(said["is_of_this_build"] == true && said["missing"].as_array().unwrap().len() == 2, "{said}");
-    let output = crumple(folder, &["merge", "2", "1", "2", "--out=report"]);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    done(folder, &["merge", "2", "1", "2", "--out=report"]);
     same_files(folder, "single/evidence", "report/evidence");
     let output = crumple(folder, &["assess", "a.toml", "--out=report"]);
     assert!(stderr(&output).contains("5 of 5 pieces of evidence were there"), "{}", stderr(&output));
@@ -330,8 +323,7 @@ fn a_plan_of_a_search_makes_its_shards() {
     let formula = "--spec=always v1.gap_m > 0.5";
     let plan =
         ["plan", "--controller=idm", "--space=high-risk", "--budget=40", "--shards=2", "--method=uniform", formula];
-    let output = crumple(folder, &[&plan[..], &["--out=p"]].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = done(folder, &[&plan[..], &["--out=p"]].concat());
     assert!(stdout(&output).contains("80 evaluations: 40 by uniform"), "{}", stdout(&output));
     for index in ["1", "2"] {
         let mut task = std::process::Command::new("sh");
@@ -347,13 +339,11 @@ fn a_plan_of_a_search_makes_its_shards() {
     assert_refused(&crumple(folder, &[&plan[..], &["--runs=10"]].concat()), "cannot be used with");
     // Not over an earlier one, unless that is meant.
     assert_refused(&crumple(folder, &[&plan[..], &["--out=p"]].concat()), "p: is not empty: use --force");
-    let again = crumple(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
-    assert_eq!(code(&again), 0, "{}", stderr(&again));
+    let again = done(folder, &[&plan[..], &["--out=p", "--force", "--format=json"]].concat());
     let read = |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).unwrap();
     assert_eq!(read(&again.stdout), read(&fs::read(folder.join("p/plan.json")).unwrap()));
     // A folder that looks like an option.
-    let output = crumple(folder, &[&plan[..], &["--out=-x"]].concat());
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    let output = done(folder, &[&plan[..], &["--out=-x"]].concat());
     for line in
         ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/campaign\n"]
     {
@@ -391,8 +381,7 @@ fn what_a_plan_writes_makes_what_it_says() {
     }
     let shards: Vec<String> = (1..=3).map(|index| format!("it's; a plan/shards/{index}")).collect();
     let shards: Vec<&str> = shards.iter().map(String::as_str).collect();
-    let merged = crumple(folder, &[&["merge", "--out", "rate"], &shards[..]].concat());
-    assert_eq!(code(&merged), 0, "{}", stderr(&merged));
+    done(folder, &[&["merge", "--out", "rate"], &shards[..]].concat());
     let words: Vec<String> = serde_json::from_value(planned["command"].clone()).unwrap();
     let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
     assert_eq!(code(&crumple(folder, &[&words[..], &["--out", "single"]].concat())), 0);

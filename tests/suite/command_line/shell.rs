@@ -19,8 +19,7 @@ fn pages_and_completions_know_every_command() {
     let folder = folder();
     let commands = listed(folder.path());
     assert!(commands.len() > 15, "{commands:?}");
-    let written = crumple(folder.path(), &["man", "--out", "man"]);
-    assert_eq!(code(&written), 0, "{}", stderr(&written));
+    done(folder.path(), &["man", "--out", "man"]);
     for command in &commands {
         let page = fs::read_to_string(folder.path().join(format!("man/crumple-{command}.1"))).unwrap();
         assert!(page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"), "{command}");
@@ -36,8 +35,7 @@ fn pages_and_completions_know_every_command() {
         assert_eq!(plain.split_whitespace().collect::<Vec<_>>(), usage.split_whitespace().collect::<Vec<_>>());
     }
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let script = crumple(folder.path(), &["completions", shell]);
-        assert_eq!(code(&script), 0, "{}", stderr(&script));
+        let script = done(folder.path(), &["completions", shell]);
         let missing: Vec<_> = commands.iter().filter(|command| !stdout(&script).contains(*command)).collect();
         assert!(missing.is_empty(), "{shell}: {missing:?}");
     }
@@ -64,8 +62,7 @@ fn a_doctor_says_what_is_missing() {
 fn what_is_built_in_is_shown_as_a_file() {
     let folder = folder();
     let show = |arguments: &[&str]| {
-        let shown = crumple(folder.path(), &[&["show"], arguments].concat());
-        assert_eq!(code(&shown), 0, "{}", stderr(&shown));
+        let shown = done(folder.path(), &[&["show"], arguments].concat());
         fs::write(folder.path().join("mine.toml"), stdout(&shown)).unwrap();
         stdout(&shown).to_owned()
     };

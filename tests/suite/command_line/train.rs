@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::{assert_refused, code, crumple, folder, names_in, stderr, stdout, write_changed};
+use super::{assert_refused, code, crumple, done, folder, names_in, stderr, stdout, write_changed};
 use crate::tiny;
 
 const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
@@ -20,8 +20,7 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     let folder = folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
     let train = |out| ["train", "--preset", "tiny.toml", "--seeds", "2", "--episodes", "45", "--out", out];
-    let through = crumple(folder.path(), &train("through"));
-    assert_eq!(code(&through), 0, "{}", stderr(&through));
+    let through = done(folder.path(), &train("through"));
     assert!(stdout(&through).starts_with("  seed"));
     let mut child = Command::new(env!("CARGO_BIN_EXE_crumple"))
         .args(train("killed"))
@@ -39,8 +38,7 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     child.wait().unwrap();
     let again = crumple(folder.path(), &train("killed"));
     assert_eq!(code(&again), 2, "an existing training is not overwritten");
-    let resumed = crumple(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
-    assert_eq!(code(&resumed), 0, "{}", stderr(&resumed));
+    let resumed = done(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
     assert_eq!(stdout(&resumed), stdout(&through));
     for seed in 0..2 {
         for (name, (through, killed)) in FILES.iter().zip(files(folder.path(), "through", seed).into_iter().zip(files(
@@ -195,8 +193,7 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
         crumple(folder.path(), &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"]);
     assert_eq!(code(&trained), 0, "{}", stderr(&trained));
     let policy = "run/seed-4/policy.safetensors";
-    let driven = crumple(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
-    assert_eq!(code(&driven), 0, "{}", stderr(&driven));
+    let driven = done(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
     assert!(stdout(&driven).starts_with(&format!("paper-1: {policy}, estimator kalman")));
     for name in ["training.json", "learning-curve.svg"] {
         assert!(folder.path().join("run").join(name).exists(), "{name}");

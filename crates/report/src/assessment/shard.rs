@@ -121,7 +121,7 @@ pub fn gather_shard(
     let assessment = Whole {
         program: program.to_owned(),
         plan_sha256: digest(plan)?,
-        pieces: all.iter().map(super::pieces::Piece::name).collect(),
+        pieces: all.iter().map(|piece| piece.name.clone()).collect(),
     };
     let work = open_shard(&ShardedAssessment { assessment }, shard, folder, true)?;
     let under_way = folder.join(UNDER_WAY);
@@ -132,7 +132,7 @@ pub fn gather_shard(
             std::ops::ControlFlow::Continue(())
         };
         let gathering = Gathering::new(&store, &told).with(&plan.controllers);
-        own.iter().try_for_each(|piece| piece.gather(plan, &gathering))?;
+        own.iter().try_for_each(|piece| piece.gather(&gathering))?;
         work.write(EVIDENCE, text(&store.kept()?)?)?;
         work.finish()?;
     }

@@ -52,7 +52,7 @@ impl Mark {
 }
 
 /// A column of a table: its heading, and its cell in the row of an item.
-type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
+pub(super) type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
 
 impl Cell {
     /// A number, or a dash.
@@ -89,8 +89,18 @@ impl Table {
 
     /// Builds a table with a row for each item.
     pub(super) fn of<T>(items: impl IntoIterator<Item = T>, columns: &[Column<'_, T>]) -> Self {
-        let mut table = Self::new(&columns.iter().map(|(name, _)| *name).collect::<Vec<_>>());
-        items.into_iter().for_each(|item| table.row(columns.iter().map(|(_, cell)| cell(&item)).collect()));
+        Self::without(items, columns, None)
+    }
+
+    /// Builds a table with a row for each item, and leaves out one column.
+    pub(super) fn without<T>(
+        items: impl IntoIterator<Item = T>,
+        columns: &[Column<'_, T>],
+        left_out: Option<usize>,
+    ) -> Self {
+        let columns = || columns.iter().enumerate().filter(|(place, _)| Some(*place) != left_out).map(|(_, one)| one);
+        let mut table = Self::new(&columns().map(|(name, _)| *name).collect::<Vec<_>>());
+        items.into_iter().for_each(|item| table.row(columns().map(|(_, cell)| cell(&item)).collect()));
         table
     }
 

@@ -164,11 +164,6 @@ impl Panel {
         self.above.push(words((place.0, place.1 + SMALL * 0.35), anchor, text, SMALL, ink, true));
     }
 
-    /// Keeps tags off a rectangle, in pixels.
-    pub fn reserve(&mut self, area: Frame) {
-        self.taken.push(area);
-    }
-
     /// Adds something drawn in pixels to the data, cut off at the frame.
     pub fn layer(&mut self, content: Markup) {
         self.inside.push(content);

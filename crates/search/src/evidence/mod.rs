@@ -6,6 +6,7 @@
 mod binding;
 mod binomial;
 mod block;
+mod certificate_report;
 mod cruise;
 pub mod exposed;
 mod interval;
@@ -25,6 +26,7 @@ mod starts;
 
 pub use binding::{Elsewhere, Unbound, bound, left_out, lies_within};
 pub use block::CountedBlock;
+pub use certificate_report::{CertificateReport, Counts, report_json, report_text};
 pub use cruise::{CruiseError, CruisePlan, Proved, Sampled};
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};

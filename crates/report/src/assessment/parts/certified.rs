@@ -1,7 +1,7 @@
 //! Certificates of an assessment: those of kernels, those counted for it, those that were given.
 
 use crumple_verify::reach::Ranges;
-use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, check_with};
+use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, WorkLimit};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,9 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateInterval, bound, checker_file, kernel_certificate, lies_within, shipped_kernels};
+use crumple_search::evidence::{
+    CertificateReport, RateInterval, checker_file, kernel_certificate, lies_within, shipped_kernels,
+};
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
 use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
@@ -128,13 +130,11 @@ impl ProofStatus {
     }
 
     fn of(certificate: &Certificate, policy: Option<&[u8]>, counts_others: bool) -> Self {
-        let accepted = match check_with(certificate, policy) {
+        let report = CertificateReport::check(String::new(), certificate, policy, WorkLimit::default());
+        let accepted = match report.map_err(|refused| refused.to_string()).and_then(|report| report.accepted) {
             Ok(accepted) => accepted,
-            Err(rejection) => return Self::Rejected { reason: rejection.to_string() },
+            Err(reason) => return Self::Rejected { reason },
         };
-        if let Err(unbound) = bound(certificate, policy) {
-            return Self::Rejected { reason: unbound.to_string() };
-        }
         Self::Accepted { shown: shown(&accepted), strength: strength(&accepted, &certificate.statement, counts_others) }
     }
 }

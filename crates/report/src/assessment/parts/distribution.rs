@@ -8,7 +8,7 @@ use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
 use crate::assessment::document::Document;
 use crate::assessment::plan::NamedSpace;
-use crate::assessment::table::{Cell, Table};
+use crate::assessment::table::{Cell, Column, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
@@ -94,6 +94,11 @@ pub struct Percent {
 }
 
 impl Percent {
+    /// Formats the interval.
+    pub(super) fn bounds(&self) -> String {
+        format!("{} – {}", self.lower, self.upper)
+    }
+
     /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards. What those that were cut short would
     /// have come to is not known: they count where that is worse, and not where it is better.
     pub(super) fn exact([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
@@ -255,48 +260,24 @@ impl Distribution {
 
     fn table(&self) -> Table {
         let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
-        let paired = [format!("only {first} collides"), "only this one".to_owned()];
-        // A column for it where there is any.
-        let some_silent = self.controllers.iter().any(|sampled| sampled.unanswered.is_some());
-        let silent: &[&str] = if some_silent { &["no answer"] } else { &[] };
-        let before = ["controller", "collisions"];
-        let after = [
-            "rate %",
-            "bounds %",
-            "hit ahead",
-            "hit from behind",
-            "cut short by others",
-            "min gap ahead m",
-            "min gap behind m",
-            "mean impact m/s",
-            &paired[0],
-            &paired[1],
+        let only_first = format!("only {first} collides");
+        let columns: [Column<'_, &Sampled>; 13] = [
+            ("controller", &|one| Cell::text(&one.controller)),
+            ("collisions", &|one| Cell::judged(one.collisions, one.collisions + one.cut_short == 0)),
+            ("no answer", &|one| Cell::judged(one.silent(), one.silent() == 0)),
+            ("rate %", &|one| Cell::number(one.rate_percent.observed)),
+            ("bounds %", &|one| Cell::number(one.rate_percent.bounds())),
+            ("hit ahead", &|one| Cell::number(one.hit)),
+            ("hit from behind", &|one| Cell::number(one.was_hit)),
+            ("cut short by others", &|one| Cell::number(one.cut_short)),
+            ("min gap ahead m", &|one| Cell::optional(one.min_gap_ahead_m)),
+            ("min gap behind m", &|one| Cell::optional(one.min_gap_behind_m)),
+            ("mean impact m/s", &|one| Cell::optional(one.mean_impact_speed_mps)),
+            (&only_first, &|one| Cell::optional(one.paired.map(|paired| paired.only_first))),
+            ("only this one", &|one| Cell::optional(one.paired.map(|paired| paired.only_this))),
         ];
-        let mut table = Table::new(&[&before[..], silent, &after[..]].concat());
-        for sampled in &self.controllers {
-            let rate = sampled.rate_percent;
-            let pair = |of: fn(&Paired) -> u64| sampled.paired.as_ref().map_or("–".to_owned(), |p| of(p).to_string());
-            let dash = |value: Option<Rounded<2>>| value.map_or("–".to_owned(), |value| value.to_string());
-            let silent = some_silent.then(|| Cell::judged(sampled.silent(), sampled.silent() == 0));
-            let before = [
-                Cell::text(&sampled.controller),
-                Cell::judged(sampled.collisions, sampled.collisions + sampled.cut_short == 0),
-            ];
-            let after = [
-                Cell::number(rate.observed),
-                Cell::number(format!("{} – {}", rate.lower, rate.upper)),
-                Cell::number(sampled.hit),
-                Cell::number(sampled.was_hit),
-                Cell::number(sampled.cut_short),
-                Cell::number(dash(sampled.min_gap_ahead_m)),
-                Cell::number(dash(sampled.min_gap_behind_m)),
-                Cell::number(sampled.mean_impact_speed_mps.map_or("–".to_owned(), |speed| speed.to_string())),
-                Cell::number(pair(|p| p.only_first)),
-                Cell::number(pair(|p| p.only_this)),
-            ];
-            table.row(before.into_iter().chain(silent).chain(after).collect());
-        }
-        table
+        let all_answered = self.controllers.iter().all(|sampled| sampled.unanswered.is_none());
+        Table::without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
     /// Of each controller that gave no answer in some draws: in how many, and why.

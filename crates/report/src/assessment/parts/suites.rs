@@ -224,8 +224,7 @@ impl Suites {
 
     /// How to see failures happen.
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
-        let outcomes = self.suites.iter().flat_map(|found| &found.tests).flat_map(|test| &test.outcomes);
-        outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
+        self.suites.iter().flat_map(SuiteFindings::replays)
     }
 }
 

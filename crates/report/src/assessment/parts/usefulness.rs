@@ -10,7 +10,7 @@ use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source
 use crate::assessment::document::Document;
 use crate::assessment::gate::SpaceTally;
 use crate::assessment::rounded::or_dash;
-use crate::assessment::table::{Cell, Table};
+use crate::assessment::table::{Cell, Column, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
 use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, Marker, Panel, SMALL, Stroke, Svg, text_width};
@@ -228,55 +228,34 @@ impl Usefulness {
     }
 
     fn table(&self) -> Table {
-        // A column for it where there is any.
-        let some_silent = self.controllers.iter().any(|useful| useful.unanswered.iter().any(Option::is_some));
-        let silent: &[&str] = if some_silent { &["no answer in traffic, high-risk"] } else { &[] };
-        let before = ["controller", "fails in traffic"];
-        let after = [
-            "brakes without cause %",
-            "bounds %",
-            "s a drive",
-            "brakes hard",
-            "left behind",
-            "progress",
-            "time gap s",
-            "rms a m/s²",
-            "rms jerk m/s³",
-            "follower brakes m/s²",
-            "gain of a line",
-            "fails in high-risk %",
-            "hit ahead in traffic, high-risk",
-            "hit from behind in traffic, high-risk",
+        let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
+        let columns: [Column<'_, &Useful>; 17] = [
+            ("controller", &|one| Cell::text(&one.controller)),
+            ("fails in traffic", &|one| Cell::judged(one.failures, one.failures == 0)),
+            ("no answer in traffic, high-risk", &|one| Cell::judged(pair(one.silent()), one.silent() == [0, 0])),
+            ("brakes without cause %", &|one| match (one.needless, one.silent()) {
+                // What was not driven was not driven without needless braking.
+                (0, [silent, _]) if silent > 0 => Cell::number(one.needless_percent.observed),
+                (needless, _) => Cell::judged(one.needless_percent.observed, needless == 0),
+            }),
+            ("bounds %", &|one| Cell::number(one.needless_percent.bounds())),
+            ("s a drive", &|one| Cell::optional(one.needless_s)),
+            ("brakes hard", &|one| Cell::number(one.hard)),
+            ("left behind", &|one| Cell::number(one.left_behind)),
+            ("progress", &|one| Cell::optional(one.progress)),
+            ("time gap s", &|one| {
+                Cell::number(format!("{} ± {}", or_dash(one.time_gap_s), or_dash(one.time_gap_deviation_s)))
+            }),
+            ("rms a m/s²", &|one| Cell::optional(one.rms_acceleration_mps2)),
+            ("rms jerk m/s³", &|one| Cell::optional(one.rms_jerk_mps3)),
+            ("follower brakes m/s²", &|one| Cell::optional(one.imposed_brake_mps2)),
+            ("gain of a line", &|one| one.line.cell()),
+            ("fails in high-risk %", &|one| Cell::number(one.high_risk_percent.observed)),
+            ("hit ahead in traffic, high-risk", &|one| Cell::number(pair(one.hit))),
+            ("hit from behind in traffic, high-risk", &|one| Cell::number(pair(one.was_hit))),
         ];
-        let mut table = Table::new(&[&before[..], silent, &after[..]].concat());
-        for useful in &self.controllers {
-            let Percent { observed, lower, upper } = useful.needless_percent;
-            let [traffic, danger] = useful.silent();
-            let silent = some_silent.then(|| Cell::judged(format!("{traffic}, {danger}"), traffic + danger == 0));
-            let before = [Cell::text(&useful.controller), Cell::judged(useful.failures, useful.failures == 0)];
-            let after = [
-                match (useful.needless, traffic) {
-                    // What was not driven was not driven without needless braking.
-                    (0, 1..) => Cell::number(observed),
-                    (needless, _) => Cell::judged(observed, needless == 0),
-                },
-                Cell::number(format!("{lower} – {upper}")),
-                Cell::number(or_dash(useful.needless_s)),
-                Cell::number(useful.hard),
-                Cell::number(useful.left_behind),
-                Cell::number(or_dash(useful.progress)),
-                Cell::number(format!("{} ± {}", or_dash(useful.time_gap_s), or_dash(useful.time_gap_deviation_s))),
-                Cell::number(or_dash(useful.rms_acceleration_mps2)),
-                Cell::number(or_dash(useful.rms_jerk_mps3)),
-                Cell::number(or_dash(useful.imposed_brake_mps2)),
-                useful.line.cell(),
-                Cell::number(useful.high_risk_percent.observed),
-                Cell::number(format!("{}, {}", useful.hit[0], useful.hit[1])),
-                Cell::number(format!("{}, {}", useful.was_hit[0], useful.was_hit[1])),
-            ];
-            table.row(before.into_iter().chain(silent).chain(after).collect());
-        }
-        table
+        let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
+        Table::without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
     /// Of each controller that gave no answer somewhere: how often, and why.

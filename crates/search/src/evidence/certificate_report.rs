@@ -1,42 +1,45 @@
-//! What `crumple check` says of certificates it has checked.
+//! Report of the checker on a certificate, for readers and for programs.
 
-use std::path::Path;
-
-use crumple_search::evidence::{Confirmation, left_out};
+use super::{Confirmation, Unbound, bound, left_out};
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
-use crumple_verify::{Accepted, Certificate, Scope, Statement, check};
+use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_within};
 use crumple_core::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;
 
-use super::Failure;
-
-/// A certificate and what was found.
-pub(super) struct Checked<'a> {
-    /// Its file.
-    pub(super) path: String,
-    pub(super) certificate: &'a Certificate,
-    /// What is proved, or why nothing is.
-    pub(super) accepted: Result<Accepted, String>,
-    /// What the counts are worth, if it counts.
-    pub(super) counts: Option<Counts>,
-    /// Why it is not about the scenario that was asked for, if one was.
-    pub(super) about: Option<Result<(), String>>,
+/// Report of the checker on a certificate.
+#[derive(Debug)]
+pub struct CertificateReport<'a> {
+    /// File of the certificate.
+    pub path: String,
+    /// Certificate that was checked.
+    pub certificate: &'a Certificate,
+    /// Accepted statement, or the reason for the rejection.
+    pub accepted: Result<Accepted, String>,
+    /// Strength of the counts, if the statement rests on counts.
+    pub counts: Option<Counts>,
+    /// Reason why the certificate is not about the requested scenario, if one was requested.
+    pub about: Option<Result<(), String>>,
 }
 
-/// What the counts of a certificate are worth: each is a strength of its own.
-pub(super) enum Counts {
-    /// Nobody counted again.
+/// Strength of the counts of a certificate.
+#[derive(Debug)]
+pub enum Counts {
+    /// No run was made again.
     MakersWord,
     /// Some or all runs were made again, with the stated results.
     Confirmed {
+        /// Runs that were made again.
         confirmation: Confirmation,
-        /// What decided the sample, if it was one.
+        /// Seed of the sample, if not all runs were made again.
         seed: Option<u64>,
     },
-    /// They are wrong.
-    Refuted { because: String },
+    /// Runs that were made again ended in another way.
+    Refuted {
+        /// First run that differs.
+        because: String,
+    },
 }
 
 impl Counts {
@@ -86,47 +89,45 @@ fn catches(confirmation: &Confirmation) -> [(u64, f64); 3] {
         .map(|forged| (forged, confirmation.chance_of_catching(forged)))
 }
 
-impl<'a> Checked<'a> {
-    /// A certificate just made, as the checker sees it.
-    pub(super) fn now(path: &Path, certificate: &'a Certificate) -> Self {
+impl<'a> CertificateReport<'a> {
+    /// Checks a certificate, and derives again from its texts what it says it is about. `policy` holds the bytes of the policy or
+    /// network that it names; `limit` bounds the work.
+    ///
+    /// # Errors
+    /// [`Unbound::StartRefused`] if a text names a program that may not start, which says nothing against the certificate.
+    pub fn check(
+        path: String,
+        certificate: &'a Certificate,
+        policy: Option<&[u8]>,
+        limit: WorkLimit,
+    ) -> Result<Self, Unbound> {
+        let accepted = check_within(certificate, policy, limit).map_err(|rejection| rejection.to_string());
+        let accepted = match (accepted, bound(certificate, policy)) {
+            (Ok(_), Err(refused @ Unbound::StartRefused(_))) => return Err(refused),
+            (Ok(_), Err(unbound)) => Err(unbound.to_string()),
+            (accepted, _) => accepted,
+        };
+        Ok(Self { path, certificate, accepted, counts: None, about: None })
+    }
+
+    /// Checks a certificate just made, whose texts need not be read again.
+    #[must_use]
+    pub fn new(path: String, certificate: &'a Certificate) -> Self {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
-        Self { path: path.display().to_string(), certificate, accepted, counts: None, about: None }
-    }
-
-    /// What the checker says of it, in a line; a failing gate if it is rejected.
-    pub(super) fn said(&self) -> Result<String, Failure> {
-        match &self.accepted {
-            Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", self.path)),
-            Err(rejection) => Err(Failure::Gate(format!("{}: rejected: {rejection}", self.path))),
-        }
+        Self { path, certificate, accepted, counts: None, about: None }
     }
 }
 
-/// A certificate that could not be judged, one line of `--format json`.
-#[derive(Serialize)]
-struct NotJudged<'a> {
-    certificate: &'a str,
-    accepted: bool,
-    error: String,
-}
-
-/// What is said of certificates that could not be judged, with their files.
-pub(super) fn json_of_others(others: &[(String, Failure)]) -> Result<String, serde_json::Error> {
-    let line = |(certificate, failure): &(String, Failure)| {
-        let line = NotJudged { certificate, accepted: false, error: failure.to_string() };
-        Ok(serde_json::to_string(&line)? + "\n")
-    };
-    others.iter().map(line).collect()
-}
-
-impl Checked<'_> {
-    /// Whether anything speaks against it.
-    pub(super) fn is_refused(&self) -> bool {
+impl CertificateReport<'_> {
+    /// Returns true if the certificate is rejected, refuted, or not about the requested scenario.
+    #[must_use]
+    pub fn is_refused(&self) -> bool {
         self.is_rejected() || matches!(self.about, Some(Err(_)))
     }
 
-    /// Whether what it says is not proved, or refuted.
-    pub(super) fn is_rejected(&self) -> bool {
+    /// Returns true if the statement is not proved, or its counts are refuted.
+    #[must_use]
+    pub fn is_rejected(&self) -> bool {
         self.accepted.is_err() || matches!(self.counts, Some(Counts::Refuted { .. }))
     }
 
@@ -209,14 +210,16 @@ impl Checked<'_> {
 }
 
 /// At least how surely all accepted bounds hold together, if there are several: at most the sum of what each leaves open is open.
-fn joint_confidence(all: &[Checked<'_>]) -> Option<(usize, f64)> {
-    let open: Vec<f64> = all.iter().filter_map(Checked::confidence).map(|confidence| 1.0 - confidence).collect();
+fn joint_confidence(all: &[CertificateReport<'_>]) -> Option<(usize, f64)> {
+    let open: Vec<f64> =
+        all.iter().filter_map(CertificateReport::confidence).map(|confidence| 1.0 - confidence).collect();
     (open.len() > 1)
         .then(|| (open.len(), (1.0 - open.iter().fold(0.0, |sum: f64, one| (sum + one).next_up())).max(0.0)))
 }
 
-/// For a reader.
-pub(super) fn text(all: &[Checked<'_>], scenario: Option<&str>) -> String {
+/// Formats reports for a reader. `scenario` is the name of the requested scenario.
+#[must_use]
+pub fn report_text(all: &[CertificateReport<'_>], scenario: Option<&str>) -> String {
     let mut text: String = all.iter().map(|one| one.text(scenario)).collect();
     if let Some((bounds, confidence)) = joint_confidence(all) {
         // Rounded down.
@@ -230,7 +233,7 @@ pub(super) fn text(all: &[Checked<'_>], scenario: Option<&str>) -> String {
 
 /// One line of `--format json`.
 #[derive(Serialize)]
-struct Report<'a> {
+struct ReportLine<'a> {
     certificate: &'a str,
     accepted: bool,
     claim: &'static str,
@@ -269,15 +272,18 @@ struct RerunReport {
     catches: [(u64, f64); 3],
 }
 
-/// One object a certificate.
-pub(super) fn json(all: &[Checked<'_>]) -> Result<String, serde_json::Error> {
+/// Formats reports as one JSON object a line.
+///
+/// # Errors
+/// None in practice; the serializer's error is passed on.
+pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::Error> {
     let joint_confidence = joint_confidence(all).map(|(_, confidence)| confidence);
-    let lines = all.iter().map(|one| Ok(serde_json::to_string(&report(one, joint_confidence))? + "\n"));
+    let lines = all.iter().map(|one| Ok(serde_json::to_string(&line_of(one, joint_confidence))? + "\n"));
     lines.collect()
 }
 
-fn report<'a>(one: &'a Checked<'a>, joint_confidence: Option<f64>) -> Report<'a> {
-    let Checked { path, certificate, accepted, counts, about } = one;
+fn line_of<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
+    let CertificateReport { path, certificate, accepted, counts, about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
     let (mut margin_m, mut x_ego_width_m) = (None, None);
@@ -314,7 +320,7 @@ fn report<'a>(one: &'a Checked<'a>, joint_confidence: Option<f64>) -> Report<'a>
         }),
         _ => None,
     };
-    Report {
+    ReportLine {
         certificate: path,
         accepted: accepted.is_ok() && refuted.is_none(),
         claim: certificate.statement.name(),
