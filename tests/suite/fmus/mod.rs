@@ -200,7 +200,7 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     assert_eq!(identity(elsewhere.path()), first);
     fs::write(elsewhere.path().join("odd.toml"), WIRED.replace("= 30.0", "= 29.0")).unwrap();
     assert_ne!(identity(elsewhere.path()), first);
-    let search = ["falsify", "--controller", "odd.toml", "--budget", "20", "--out", "found", "--format", "json"];
+    let search = ["falsify", "--controller", "odd.toml", "--budget", "2", "--out", "found", "--format", "json"];
     let found = crumple(odd.path(), &search);
     assert!([0, 1].contains(&code(&found)), "{}", String::from_utf8_lossy(&found.stderr));
 }

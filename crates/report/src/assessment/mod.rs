@@ -200,9 +200,10 @@ pub enum AssessError {
 /// use std::path::Path;
 ///
 /// let mut config = AssessConfig::default();
-/// config.controllers = vec!["baseline".to_owned(), "idm".to_owned()];
+/// config.controllers = vec!["idm".to_owned()];
 /// config.gates.clear();
-/// (config.draws, config.search.spaces, config.rates.runs) = (20, Some(Vec::new()), 0);
+/// (config.paper, config.draws, config.everyday_draws, config.rates.runs) = (false, 20, 4, 0);
+/// (config.search.spaces, config.certificates) = (Some(Vec::new()), Some(Vec::new()));
 /// let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
 /// let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
 /// assert!(assessment.html().contains("</html>"));

@@ -121,48 +121,55 @@ fn known_probabilities_below_a_millionth_are_found() {
     }
 }
 
-/// Importance sampling finds the same, of a quarter of the runs and with a fifth of the spread; and what is not rare, and what many numbers
-/// decide. Where noise decides as well it is no better than splitting: the best law that knows nothing of the noise has a
-/// coefficient of variation of 27 for each draw, and intervals hold less often than they say.
-#[test]
-fn known_probabilities_are_found_by_weighted_draws() {
-    const SEEDS: u64 = 24;
-    let more = [
-        ("corner", Known { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
-        ("thirty numbers", Known { dimension: 30, margin: linear }, upper_tail(5.0)),
-        ("frequent", Known { dimension: 5, margin: frequent }, 0.01),
-    ];
-    for problem in known().into_iter().chain(more) {
-        let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
-        let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
-        let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
-        assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
-        assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
-        assert!(held >= least, "{name}: {held} of {SEEDS}");
-        assert!(most < 120_000, "{name}: {most}");
-    }
-}
+/// Tests that `.ci/run` adds to those of `cargo test`.
+mod tier_2 {
+    use super::*;
 
-/// Where noise decides as well, intervals of weighted draws hold far less often than they say, and most of all those in which no run weighs much:
-/// what would weigh much was not drawn. The command line says these figures of every estimate through the filter.
-#[test]
-fn where_noise_decides_weighted_draws_have_intervals_that_are_too_narrow() {
-    const SEEDS: u64 = 400;
-    let (problem, truth) = (Known { dimension: 2, margin: noisy }, upper_tail(4.9));
-    let (mut held, mut light, mut light_held, mut sum) = (0, 0, 0, 0.0);
-    for seed in 0..SEEDS {
-        let found = estimate_by(RareMethod::Importance, &problem, seed);
-        let [low, high] = found.interval_95.unwrap();
-        let (holds, is_light) = ((low..=high).contains(&truth), found.largest_weight.unwrap() <= 0.1);
-        held += u64::from(holds);
-        light += u64::from(is_light);
-        light_held += u64::from(is_light && holds);
-        sum += found.probability.unwrap() / truth;
+    /// Importance sampling finds the same, of a quarter of the runs and with a fifth of the spread; and what is not rare, and what many numbers
+    /// decide. Where noise decides as well it is no better than splitting: the best law that knows nothing of the noise has a
+    /// coefficient of variation of 27 for each draw, and intervals hold less often than they say.
+    #[test]
+    #[ignore = "tier 2: 168 estimates"]
+    fn known_probabilities_are_found_by_weighted_draws() {
+        const SEEDS: u64 = 24;
+        let more = [
+            ("corner", Known { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
+            ("thirty numbers", Known { dimension: 30, margin: linear }, upper_tail(5.0)),
+            ("frequent", Known { dimension: 5, margin: frequent }, 0.01),
+        ];
+        for problem in known().into_iter().chain(more) {
+            let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
+            let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
+            let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
+            assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
+            assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
+            assert!(held >= least, "{name}: {held} of {SEEDS}");
+            assert!(most < 120_000, "{name}: {most}");
+        }
     }
-    let mean = sum / SEEDS as f64;
-    println!("{held} of {SEEDS}; of {light} in which no run weighs much {light_held}; mean {mean:.3}");
-    assert!((mean - 1.0).abs() < 0.1, "unbiased all the same: {mean}");
-    assert!((260..320).contains(&held) && 2 * light_held < light, "{held}, {light_held} of {light}");
+
+    /// Where noise decides as well, intervals of weighted draws hold far less often than they say, and most of all those in which no run weighs much:
+    /// what would weigh much was not drawn. The command line says these figures of every estimate through the filter.
+    #[test]
+    #[ignore = "tier 2: 400 estimates"]
+    fn where_noise_decides_weighted_draws_have_intervals_that_are_too_narrow() {
+        const SEEDS: u64 = 400;
+        let (problem, truth) = (Known { dimension: 2, margin: noisy }, upper_tail(4.9));
+        let (mut held, mut light, mut light_held, mut sum) = (0, 0, 0, 0.0);
+        for seed in 0..SEEDS {
+            let found = estimate_by(RareMethod::Importance, &problem, seed);
+            let [low, high] = found.interval_95.unwrap();
+            let (holds, is_light) = ((low..=high).contains(&truth), found.largest_weight.unwrap() <= 0.1);
+            held += u64::from(holds);
+            light += u64::from(is_light);
+            light_held += u64::from(is_light && holds);
+            sum += found.probability.unwrap() / truth;
+        }
+        let mean = sum / SEEDS as f64;
+        println!("{held} of {SEEDS}; of {light} in which no run weighs much {light_held}; mean {mean:.3}");
+        assert!((mean - 1.0).abs() < 0.1, "unbiased all the same: {mean}");
+        assert!((260..320).contains(&held) && 2 * light_held < light, "{held}, {light_held} of {light}");
+    }
 }
 
 /// Weighted draws are never taken for counted runs, however few levels the pilot needed.
