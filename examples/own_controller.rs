@@ -6,11 +6,11 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use crumple::core::digest::sha256;
 use crumple::report::assessment::{AssessConfig, Store};
-use crumple::search::disk;
 use crumple::search::falsify::{Method, campaign::Aim};
+use crumple::store::disk;
 use crumple::world::control::Ego;
-use crumple::world::digest::sha256;
 use crumple::world::observation::{EstimatorKind, Observation};
 use crumple::world::scenario::{built_in, space::built_in_space};
 use crumple::{

@@ -18,6 +18,8 @@
 //!
 //! | crate | what it holds |
 //! |---|---|
+//! | [`core`] | digests, rounded numbers, quoted text |
+//! | [`store`] | run folders: atomic files, manifests, shards |
 //! | [`world`] | what happens: scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
 //! | [`search`] | what goes wrong: worst cases, falsification, evidence with certificates |
 //! | [`learn`] | what can be learned: training, and retraining against what was found |
@@ -39,9 +41,11 @@
 //! # }
 //! ```
 
+pub use crumple_core as core;
 pub use crumple_learn as learn;
 pub use crumple_report as report;
 pub use crumple_search as search;
+pub use crumple_store as store;
 pub use crumple_world as world;
 
 pub use crumple_learn::rl::{TrainingConfig, train};

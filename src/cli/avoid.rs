@@ -10,12 +10,12 @@ use serde::Serialize;
 use super::finding::Finding;
 use super::output;
 use super::{Failure, choice, subject};
-use crumple_store::disk::Files;
+use crumple_core::quoted::Terminal;
 use crumple_search::worst_case::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, Family, FoundBy,
     Optimality, Ranges, Reason, avoid_all, certify,
 };
-use crumple_core::quoted::Terminal;
+use crumple_store::disk::Files;
 use crumple_world::scenario::{Scenario, file};
 
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none

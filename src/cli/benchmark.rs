@@ -8,9 +8,9 @@ use clap::{Args, Subcommand};
 use super::cruise::Cruise;
 use super::simulate::Format;
 use super::{Failure, output};
-use crumple_store::disk::{DiskError, Files};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
+use crumple_store::disk::{DiskError, Files};
 
 /// Measure it on a public problem: the search, or what is proved of a network
 #[derive(Args)]

@@ -8,11 +8,11 @@ use serde::Serialize;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, output, subject};
+use crumple_core::quoted::Terminal;
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecords;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::Terminal;
 use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 

@@ -9,10 +9,10 @@ use serde::Serialize;
 use super::assess::{EVIDENCE, LISTING};
 use super::simulate::Format;
 use super::{Failure, output};
+use crumple_core::quoted::Terminal;
 use crumple_report::assessment::REPORT;
 use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
 use crumple_store::work::{Examined, examine, is_there};
-use crumple_core::quoted::Terminal;
 
 /// Look at folders of work: is every file what was written there?
 #[derive(Args)]

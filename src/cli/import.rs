@@ -11,10 +11,10 @@ use super::Failure;
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::Format;
 use super::{choice, feature, output, simulate};
+use crumple_core::quoted::Terminal;
 use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_store::disk::{DiskError, Files};
-use crumple_core::quoted::Terminal;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
     ImportOptions, Imported, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,

@@ -11,8 +11,8 @@ use serde::Serialize;
 
 use super::Failure;
 use super::simulate::Format;
-use crumple_store::disk::DiskError;
 use crumple_core::quoted::{Lines, Terminal};
+use crumple_store::disk::DiskError;
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
 pub(super) fn print(text: &str) -> Result<(), Failure> {

@@ -11,8 +11,8 @@ use std::io;
 use std::path::{Component, Path, PathBuf};
 
 use super::{Failure, output};
-use crumple_store::disk::{self, DiskError, Files};
 use crumple_core::digest::{Sha256, sha256};
+use crumple_store::disk::{self, DiskError, Files};
 use crumple_world::scenario::file;
 
 /// Folder with results.

@@ -7,13 +7,13 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
+use crumple_core::digits;
+use crumple_core::quoted::Terminal;
 use crumple_search::evidence::rare::{
     Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_store::shard::{MissingShards, Shard};
-use crumple_core::digits;
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::Terminal;
 
 /// Estimates, writes the estimate to `folder` and prints it; with `resume` goes on with what is there, which may be all of it.
 pub(super) fn estimate(

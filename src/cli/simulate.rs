@@ -9,8 +9,8 @@ use super::simulated::{Judged, Report, braking_without_cause, describe, lane_cha
 use super::{Failure, choice, feature, subject};
 use crumple_report::draw::{self, Layout, MotionFigure};
 use crumple_report::export;
-use crumple_store::disk::Files;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecords};
+use crumple_store::disk::Files;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in, file};

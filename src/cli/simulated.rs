@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Usefulness};
 use crumple_core::quoted::Terminal;
+use crumple_world::measure::{NeedlessBrake, NeedlessBraking, Usefulness};
 use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
 use crumple_world::sim::{Impact, Intervention, Outcome, Simulated, VehicleSummary};
 

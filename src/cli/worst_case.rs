@@ -7,10 +7,10 @@ use serde::Serialize;
 
 use super::finding::Finding;
 use super::{Failure, choice, subject};
-use crumple_store::disk::Files;
-use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, hunt};
-use crumple_world::observation::EstimatorKind;
 use crumple_core::quoted::Terminal;
+use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, hunt};
+use crumple_store::disk::Files;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Find the mildest braking of the leader that makes a controller collide, or the severest impact

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_world::policy::Policy;
 use crumple_core::quoted::is_hidden;
+use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use pulldown_cmark::{Event, Options, Parser, Tag};

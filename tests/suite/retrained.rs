@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crumple_learn::retrain::{Cases, Judged, Report, training_preset};
 use crumple_core::digest::{Sha256, sha256};
+use crumple_learn::retrain::{Cases, Judged, Report, training_preset};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::{Space, built_in_space};

@@ -2,8 +2,8 @@
 
 use std::sync::{Mutex, TryLockError};
 
-use crumple_world::observation::EstimatorKind;
 use crumple_core::quoted::Terminal;
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::ScenarioSpec;
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};

@@ -1,8 +1,8 @@
 //! Runs of a scenario as the page shows them: verdicts, diagrams, the view from above, and where its sliders stand.
 
+use crumple_core::quoted::{Lines, Terminal};
 use crumple_report::draw::{self, Layout, MotionAxes, MotionFigure, motion_on, vehicle_names};
 use crumple_world::measure::NeedlessBraking;
-use crumple_core::quoted::{Lines, Terminal};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario};
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 use maud::html;

@@ -1,9 +1,9 @@
 //! The pages, their style sheet and their script. Everything that moves is asked for by the script; nothing comes from elsewhere.
 
+use crumple_core::quoted::Terminal;
 use crumple_report::PAGE_STYLE;
 use crumple_report::draw::{self, ANIMATION_SCRIPT, ANIMATION_STYLE};
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::Terminal;
 use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};

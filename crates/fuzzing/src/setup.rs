@@ -8,8 +8,8 @@ use arbitrary::Unstructured;
 
 use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, controller};
-use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_core::digest::sha256;
+use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};
 

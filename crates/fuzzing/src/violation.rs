@@ -3,9 +3,9 @@
 use std::fmt;
 
 use super::{TestCase, TestedController};
+use crumple_core::quoted::ShellWord;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::ShellWord;
 use crumple_world::scenario::Driver;
 use crumple_world::scenario::file::to_toml;
 use crumple_world::sim::AfterContact;

@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::Plan;
 use super::work::Wanted;
 use crate::cli::Failure;
-use crumple_store::disk::{self, Files};
-use crumple_store::jobs::{Engine, Jobs, TASK};
 use crumple_core::digits;
 use crumple_core::quoted::ShellWord;
+use crumple_store::disk::{self, Files};
+use crumple_store::jobs::{Engine, Jobs, TASK};
 
 /// The file `plan.json`.
 #[derive(Serialize)]

@@ -1,9 +1,9 @@
 //! `crumple check` and what a forger meets there.
 
+use crumple_core::digest::sha256;
 use crumple_verify::reach::{Cell, Law};
 use crumple_verify::{Certificate, Interval, Registration, Statement};
 use crumple_world::control::ControllerSpec;
-use crumple_core::digest::sha256;
 use crumple_world::scenario::{Driver, LeadProfile, Pieces, RampBrake, built_in, file};
 use serde_json::{Value, json};
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! Forged certificates: each is a genuine one with something changed that a forger would change, and, half of the time, with all that
 //! the change has broken mended again (hashes, digests, sums, canonical form).
 
+use crumple_core::digest::sha256;
 use crumple_verify::Certificate;
 use crumple_verify::certificate::FIRST_VERSION;
-use crumple_core::digest::sha256;
 use crumple_world::scenario::Scenario;
 use rand::RngExt;
 use rand::seq::IndexedRandom;

@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use crumple_core::quoted::{Lines, Terminal};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{CampaignError, Evaluated, Look, MOST_SHOWN};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed};
-use crumple_core::quoted::{Lines, Terminal};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 

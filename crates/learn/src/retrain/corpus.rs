@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::files::{add, read_json, write_json};
+use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::work::{Work, WorkError};
-use crumple_core::digest::{Sha256, sha256};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::Space;

@@ -1,8 +1,8 @@
 //! Why a retraining stops.
 
 use crate::rl::TrainingError;
-use crumple_store::disk::DiskError;
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
 use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;

@@ -4,8 +4,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::RetrainError;
-use crumple_store::work::{Work, WorkError};
 use crumple_core::digest::Sha256;
+use crumple_store::work::{Work, WorkError};
 use crumple_world::scenario::Scenario;
 
 pub(super) const REPORT: &str = "report.json";

@@ -12,8 +12,8 @@ use crumple_store::difference;
 use crumple_store::work::{Asked, Work, WorkError};
 
 use crate::rl::{ConfigError, TrainingConfig, bounds};
-use crumple_search::falsify::Method;
 use crumple_core::digest::sha256;
+use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;

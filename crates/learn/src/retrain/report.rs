@@ -11,9 +11,9 @@ use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
 use super::regression::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
 use super::{RetrainError, Standing};
-use crumple_store::work::Work;
 use crumple_core::digest::sha256;
 use crumple_core::quoted::{MarkdownCode, MarkdownText};
+use crumple_store::work::Work;
 
 /// Why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -14,8 +14,8 @@ use super::learner::Trained;
 use super::replay::Replay;
 use super::source::ScenarioSource;
 use super::trainer::{Best, Trainer, TrainingError};
-use crumple_store::program::{self, OTHER_BUILD};
 use crumple_core::digest::Sha256;
+use crumple_store::program::{self, OTHER_BUILD};
 use crumple_world::policy::Network;
 
 const KEY: &str = "crumple_training";

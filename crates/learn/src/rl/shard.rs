@@ -11,10 +11,10 @@ use serde::{Deserialize, Serialize};
 
 use super::folder::{CONFIGURATION, finished_trainings, identity_of, seed_folder, text_of};
 use super::{TrainingConfig, TrainingError};
+use crumple_core::digest::sha256;
 use crumple_store::disk;
 use crumple_store::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards};
 use crumple_store::work::{Finished, Found, MANIFEST, WorkError, find};
-use crumple_core::digest::sha256;
 
 const SHARD: &str = "shard.json";
 const VERSION: u32 = 1;

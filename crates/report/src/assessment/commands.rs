@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use super::parts::scenario_file;
 use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, StoreError};
-use crumple_world::control::NetworkController;
 use crumple_core::digest::sha256;
+use crumple_core::quoted::ShellWord;
+use crumple_world::control::NetworkController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_core::quoted::ShellWord;
 use crumple_world::scenario::{controller_file, file};
 use crumple_world::sim::ControllerKind;
 

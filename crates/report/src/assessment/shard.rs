@@ -14,10 +14,10 @@ use super::pieces::pieces;
 use super::store::{Kept, Store, StoreError};
 use super::work::Work as Gathering;
 use super::{AssessError, AssessmentPlan};
+use crumple_core::digest::sha256;
 use crumple_store::disk::DiskError;
 use crumple_store::shard::{MergeError, Mergeable, Merged, MissingShards, Shard, Sharded, TooManyShards, open_shard};
 use crumple_store::work::{Finished, WorkError};
-use crumple_core::digest::sha256;
 use crumple_world::scenario::file;
 
 /// What a folder of one is called in its `work.json`.

@@ -16,9 +16,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::plan::slug;
+use crumple_core::digest::sha256;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::work::Lock;
-use crumple_core::digest::sha256;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

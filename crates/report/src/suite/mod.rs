@@ -9,8 +9,8 @@ mod words;
 
 use std::fmt::Write;
 
-use crumple_search::suite::{Failed, SuiteResult, TestResult, Tested};
 use crumple_core::quoted::Terminal;
+use crumple_search::suite::{Failed, SuiteResult, TestResult, Tested};
 
 pub use junit::xml;
 pub use map::{map_html, map_text};

@@ -6,9 +6,9 @@ use super::words::{allowed, headline, least_margins, prevention, verdict, within
 use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
 use crate::units::without_breaks_before_units;
+use crumple_core::quoted::Lines;
 use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::Lines;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
 const OWN_STYLE: &str = include_str!("page.css");

@@ -1,9 +1,9 @@
 //! Report of the checker on a certificate, for readers and for programs.
 
 use super::{Confirmation, Unbound, bound, left_out};
+use crumple_core::quoted::Terminal;
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
 use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_within};
-use crumple_core::quoted::Terminal;
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;

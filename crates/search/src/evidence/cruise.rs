@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::certificate;
-use crumple_world::control::{HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
 use crumple_core::digest::sha256;
+use crumple_world::control::{HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
 use crumple_world::network::{FeedForward, NetworkFile};
 use crumple_world::policy::Workspace;
 use crumple_world::random::{self, Purpose};

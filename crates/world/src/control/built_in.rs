@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use super::*;
-use crumple_core::digest::sha256;
 use crate::observation::Observation;
 use crate::policy::Policy;
+use crumple_core::digest::sha256;
 
 /// What a built-in controller is for. Lists are in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

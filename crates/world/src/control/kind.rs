@@ -8,8 +8,8 @@ use super::{
     ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
     ShieldSettings,
 };
-use crumple_core::digest::sha256;
 use crate::policy::Policy;
+use crumple_core::digest::sha256;
 
 /// A controller behind a shield.
 #[derive(Clone)]

@@ -7,10 +7,10 @@ use super::fit;
 use super::history::History;
 use super::interval::Interval;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
-use crumple_core::digest::sha256;
 use crate::network::{FeedForward, NetworkFile};
 use crate::observation::Observation;
 use crate::policy::Workspace;
+use crumple_core::digest::sha256;
 
 /// A network, what it sees, and what its answer means.
 ///

@@ -11,11 +11,11 @@ use crate::assessment::claims::{
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crumple_core::digest::sha256;
 use crumple_search::evidence::{
     CertificateReport, RateInterval, checker_file, kernel_certificate, lies_within, shipped_kernels,
 };
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
-use crumple_core::digest::sha256;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in, built_in_names};
 use crumple_world::sim::{ControllerKind, NamedController};

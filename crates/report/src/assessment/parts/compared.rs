@@ -10,8 +10,8 @@ use crate::assessment::claims::{Claim, Strength};
 use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
-use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_core::digest::sha256;
+use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::scenario::file::{self, FileError};
 
 /// What changed since an earlier assessment.

@@ -14,10 +14,10 @@ use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
 use crumple_search::falsify::counterexample::Counterexample;
-use crumple_core::digest::sha256;
 use crumple_world::measure::{Conduct, Specification};
 use crumple_world::sim::{NamedController, Unanswered};
 

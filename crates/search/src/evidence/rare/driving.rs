@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Pilot, Problem, RareMethod, State};
 use crate::evidence::exposed::{ExposedRate, Part, Probability, estimate_again};
+use crumple_core::digest::sha256;
 use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_store::work::WorkError;
-use crumple_core::digest::sha256;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;

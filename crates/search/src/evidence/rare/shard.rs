@@ -11,9 +11,9 @@ use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
+use crumple_core::digest::sha256;
 use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
 use crumple_store::work::{Finished, WorkError};
-use crumple_core::digest::sha256;
 use crumple_world::scenario::space::{Space, file};
 
 /// What a folder of one is called in its `work.json`.

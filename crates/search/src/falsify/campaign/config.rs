@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::run::CONFIGURATION;
 use super::{Aim, CampaignError};
-use crumple_store::disk;
 use crate::falsify::judging::Judging;
 use crate::falsify::{Contrast, ContrastRecord, Method};
+use crumple_store::disk;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{Space, SpaceSpec};

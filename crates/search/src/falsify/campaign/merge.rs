@@ -17,9 +17,9 @@ use super::terms::Terms;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, Recorder};
+use crumple_core::digest::sha256;
 use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD, Sharded, read_shard};
 use crumple_store::work::{Finished, WorkError};
-use crumple_core::digest::sha256;
 
 /// Shards of one campaign.
 #[derive(Debug)]

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{Aim, CampaignError, Covered, Divided, FrontPoint, Region};
 use crate::falsify::ContrastRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crumple_core::quoted::Terminal;
 use crumple_store::shard::as_array;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_core::quoted::Terminal;
 use crumple_world::sim::Unanswered;
 
 /// The version of `summary.json`.

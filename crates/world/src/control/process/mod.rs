@@ -20,11 +20,11 @@ pub use self::fmu::fmu_host;
 pub use self::fmu::{FmuProblem, Wiring};
 pub use self::permission::{NamedBy, StartPermission, StartRefused, allow_external, is_external_allowed};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
-use crumple_core::digest::{Sha256, sha256};
 use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
 use crate::process::{ProcessFailure, ProcessProblem, Program, shortened};
-use crumple_core::quoted::ShellWord;
 use crate::random::{self, Purpose};
+use crumple_core::digest::{Sha256, sha256};
+use crumple_core::quoted::ShellWord;
 
 /// Most words of a command, files that an identity stands for, and bytes of one of these.
 const MOST_WORDS: usize = 1000;

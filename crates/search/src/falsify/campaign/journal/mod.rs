@@ -16,9 +16,9 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use crumple_core::digest::Sha256;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::work::{Prefix, Work, WorkError};
-use crumple_core::digest::Sha256;
 use crumple_world::measure::RunVerdict;
 use record::{Found, RECORD, checksum_of, is_zero, record};
 pub(super) use record::{decode, encode};

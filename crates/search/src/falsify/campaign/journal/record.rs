@@ -3,8 +3,8 @@
 use std::io::{self, Read};
 use std::path::Path;
 
-use crumple_store::work::WorkError;
 use crumple_core::digest::Sha256;
+use crumple_store::work::WorkError;
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 
