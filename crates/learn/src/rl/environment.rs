@@ -10,7 +10,7 @@ use super::source::{EGO, ScenarioSource};
 use crumple_world::observation::Observation;
 use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::sim::{Moment, Motion, RecordingLevel, Run, Stepper};
+use crumple_world::sim::{Moment, Motion, Run, Stepper};
 
 /// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
 /// then chosen to stay where it is more than once.
@@ -95,7 +95,7 @@ impl<'r, 's> Episode<'r, 's> {
     /// An episode on a run with one vehicle under test behind the leader.
     #[must_use]
     pub fn new(run: &'r Run<'s>, terms: &Arc<Terms>) -> Self {
-        let stepper = Stepper::new(run, RecordingLevel::Summary);
+        let stepper = Stepper::without_summaries(run);
         Self {
             earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
             stepper,

@@ -50,8 +50,13 @@ pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
 /// The vehicle ahead never reverses, so the gap shrinks by at most what the one behind covers at its higher end speed.
 #[inline]
 pub(super) fn needs_care(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
-    let may_touch = gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0;
-    may_touch | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
+    may_touch(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
+}
+
+/// Whether a step needs [`first_contact`], from the speeds of the vehicle behind at its start and its end.
+#[inline]
+pub(super) fn may_touch(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
+    gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0
 }
 
 /// The first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less; none if there is none.

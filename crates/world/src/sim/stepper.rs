@@ -1,7 +1,10 @@
 //! The scalar engine: one run, one step at a time. A caller may decide for a vehicle in place of its driver.
 
+mod short_line;
+
 use std::ops::ControlFlow;
 
+use self::short_line::Pause;
 use super::actuator::{Actuator, Disturbance, unless_at_rest};
 use super::platoon::Platoon;
 use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
@@ -18,10 +21,11 @@ use crate::observation::Observation;
 /// [`command`](Self::command) decides for it: its own driver is then not asked.
 pub struct Stepper<'r, 's> {
     run: &'r Run<'s>,
+    pace: Pace,
     platoon: Platoon,
     loops: Vec<VehicleLoop<'s>>,
     decided_mps2: Vec<f64>,
-    /// Smallest time to collision and hardest braking of each vehicle.
+    /// One a vehicle; none of them where nobody wants summaries.
     tallies: Vec<Tally>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
@@ -43,6 +47,33 @@ pub struct Moment<'a> {
     pub has_ended: bool,
 }
 
+/// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
+#[derive(Debug, Clone, Copy)]
+struct Pace {
+    step_s: f64,
+    dt_s: f64,
+    substeps: usize,
+    steps: usize,
+    after_contact: AfterContact,
+}
+
+impl Pace {
+    fn of(run: &Run<'_>) -> Self {
+        Self {
+            step_s: run.scenario().spec().step_s,
+            dt_s: run.dt_s(),
+            substeps: run.substeps(),
+            steps: run.scenario().steps(),
+            after_contact: run.options().after_contact,
+        }
+    }
+
+    /// As [`Run::time_s`] has it.
+    fn time_s(self, step: usize, substep: usize) -> f64 {
+        step as f64 * self.step_s + substep as f64 * self.dt_s
+    }
+}
+
 impl<'r, 's> Stepper<'r, 's> {
     /// The run at its start.
     #[must_use]
@@ -54,6 +85,7 @@ impl<'r, 's> Stepper<'r, 's> {
         see_ttc(&mut tallies, &platoon);
         Self {
             run,
+            pace: Pace::of(run),
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             decided_mps2: vec![0.0; loops.len()],
             platoon,
@@ -64,6 +96,13 @@ impl<'r, 's> Stepper<'r, 's> {
             step: 0,
             ended: run.scenario().steps() == 0,
         }
+    }
+
+    /// The same for somebody who looks at each step, as a learner does: smallest times to collision and hardest brakings are not
+    /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
+    #[must_use]
+    pub fn without_summaries(run: &'r Run<'s>) -> Self {
+        Self { tallies: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
     }
 
     /// Steps of the scenario that were made, the one that ended in a contact included.
@@ -118,14 +157,26 @@ impl<'r, 's> Stepper<'r, 's> {
         mut command: impl FnMut(&Observation) -> f64,
         mut after: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
     ) {
-        for _ in 0..steps {
-            if self.ended {
-                return;
+        let last = self.step.saturating_add(steps);
+        while self.step < last && !self.ended {
+            let (command, after) = (&mut command, &mut after);
+            let pause = match self.loops.len() {
+                2 => self.drive_line::<2>(index, last, command, after),
+                3 => self.drive_line::<3>(index, last, command, after),
+                4 => self.drive_line::<4>(index, last, command, after),
+                _ => Pause::Undecided,
+            };
+            match pause {
+                Pause::Over => return,
+                Pause::Decided => {}
+                Pause::Undecided => {
+                    if let Some(seen) = self.observe(index) {
+                        self.command(index, command(&seen));
+                    }
+                    self.decide();
+                }
             }
-            if let Some(seen) = self.observe(index) {
-                self.command(index, command(&seen));
-            }
-            self.step();
+            self.make_step();
             let moment = Moment {
                 motion: self.motion(),
                 gap_m: self.gap_m(index),
@@ -148,7 +199,7 @@ impl<'r, 's> Stepper<'r, 's> {
 
     /// The instants between which the next step lies, in seconds.
     fn span_s(&self) -> [f64; 2] {
-        [self.run.time_s(self.step, 0), self.run.time_s(self.step + 1, 0)]
+        [self.pace.time_s(self.step, 0), self.pace.time_s(self.step + 1, 0)]
     }
 
     /// Lets everybody decide.
@@ -179,26 +230,26 @@ impl<'r, 's> Stepper<'r, 's> {
         if self.has_touched() {
             self.platoon.share_acceleration();
         }
-        for substep in 0..self.run.substeps() {
-            self.advance(self.run.time_s(self.step, substep));
+        for substep in 0..self.pace.substeps {
+            self.advance(self.pace.time_s(self.step, substep));
             if self.ended {
                 break;
             }
         }
         self.step += 1;
-        self.ended |= self.step == self.run.scenario().steps();
+        self.ended |= self.step == self.pace.steps;
     }
 
     fn advance(&mut self, from_s: f64) {
-        let Self { run, platoon, tallies, trace, impacts, .. } = self;
+        let Self { platoon, tallies, trace, impacts, .. } = self;
         if let Some(trace) = trace {
             trace.sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
             tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
         }
-        let after_contact = run.options().after_contact;
-        let done_s = platoon.advance(from_s, run.dt_s(), after_contact, impacts);
+        let Pace { dt_s, after_contact, .. } = self.pace;
+        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
         see_ttc(tallies, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
@@ -375,6 +426,22 @@ mod tests {
                 stepper.step();
             }
             assert_eq!(stepper.finish(), inside);
+        }
+    }
+
+    /// Without summaries a run ends as with them.
+    #[test]
+    fn summaries_change_nothing_else() {
+        let spec = ControllerSpec::BaselineUnlatched(AebSettings::default());
+        for index in 0..20 {
+            let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
+            let run = Run::new(&scenario, RunOptions::new(spec.clone())).unwrap();
+            let mut stepper = Stepper::without_summaries(&run);
+            while !stepper.has_ended() {
+                stepper.step();
+            }
+            let with = simulate(&run, RecordingLevel::Summary);
+            assert_eq!(stepper.finish(), Simulated { vehicles: Vec::new(), ..with });
         }
     }
 
