@@ -149,18 +149,24 @@ fn attacked(scene: &Scene<'_>, rounds: usize, seed: u64) -> f64 {
     best_m
 }
 
-/// What is verified of the reference policy survives a search for the worst braking, and is not far from what that finds.
-#[test]
-fn verified_boxes_survive_the_worst_leader_that_is_found() {
-    let actor = Actor::from_bytes(&reference()).unwrap();
-    for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
-        let scene = led(&actor, paper(0.1, 0.0), limit_mps2);
-        let reached = reach(&scene);
-        assert_eq!(reached.doubt, None, "{limit_mps2}");
-        let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
-        let found_m = attacked(&scene, 500, 7);
-        println!("{limit_mps2} m/s²: proved {proved_m:.3} m, found {found_m:.3} m");
-        assert!(found_m >= proved_m && proved_m > found_m - 1.5, "{found_m} {reached:?}");
+/// Tests that `.ci/run` adds to those of `cargo test`.
+mod tier_2 {
+    use super::*;
+
+    /// What is verified of the reference policy survives a search for the worst braking, and is not far from what that finds.
+    #[test]
+    #[ignore = "tier 2: four searches"]
+    fn verified_boxes_survive_the_worst_leader_that_is_found() {
+        let actor = Actor::from_bytes(&reference()).unwrap();
+        for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
+            let scene = led(&actor, paper(0.1, 0.0), limit_mps2);
+            let reached = reach(&scene);
+            assert_eq!(reached.doubt, None, "{limit_mps2}");
+            let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
+            let found_m = attacked(&scene, 500, 7);
+            println!("{limit_mps2} m/s²: proved {proved_m:.3} m, found {found_m:.3} m");
+            assert!(found_m >= proved_m && proved_m > found_m - 1.5, "{found_m} {reached:?}");
+        }
     }
 }
 
