@@ -133,34 +133,4 @@ impl CostConfig {
     pub(super) fn largest(&self) -> f64 {
         self.weights().iter().map(|(_, weight)| weight).sum()
     }
-
-    /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
-    fn of(&self, now: &Moment<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
-        let motion = now.motion;
-        let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
-        else {
-            return 0.0;
-        };
-        let wanted_m = self.standstill_m + self.headway_s * ego.speed_mps;
-        let off = (gap_m - wanted_m) / wanted_m;
-        let brake_mps2 = -ego.acceleration_mps2;
-        let state = State {
-            time_s: 0.0,
-            gap_m: gap_m.max(0.0),
-            front_speed_mps: front.speed_mps,
-            rear_speed_mps: ego.speed_mps,
-            front_acceleration_mps2: front.acceleration_mps2,
-            rear_acceleration_mps2: ego.acceleration_mps2,
-        };
-        let imposed_mps2 =
-            motion.get(EGO + 1).map_or(0.0, |behind| -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0));
-        self.far * off.clamp(0.0, 1.0)
-            + self.near * (-off).clamp(0.0, 1.0)
-            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_DIFFERENCE_MPS).min(1.0)
-            + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
-            + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
-            + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
-            + self.needless * (brake_mps2 - caused_brake_mps2(&state) - NEEDLESS_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
-            + self.departure * departure
-    }
 }
