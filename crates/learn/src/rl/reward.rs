@@ -20,7 +20,7 @@ const FULL_DIFFERENCE_MPS: f64 = 10.0;
 const NEEDLESS_MARGIN_MPS2: f64 = 1.0;
 
 impl CostConfig {
-    /// What a step costs, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
+    /// Returns the cost of a step, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
     fn of(&self, now: &Moment<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
         let motion = now.motion;
         let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
