@@ -129,7 +129,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     let folder = folder();
     let search =
         ["falsify", "--controller", "match-leader", "--space", "high-risk", "--budget", "10", "--out", "found"];
-    let found = done(folder.path(), &search);
+    done(folder.path(), &search);
     let files = names_in(&folder.path().join("found/counterexamples"));
     let name = files.iter().find(|name| name.contains("-hits-")).expect("a collision");
     let file = format!("found/counterexamples/{name}");

@@ -179,7 +179,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
     assert_eq!((&missing["missing_shards"], &missing["of_shards"]), (&serde_json::json!([3]), &serde_json::json!(4)));
     assert_eq!(missing["missing_tests"].as_array().unwrap().len(), 3, "{missing}");
     assert!(!folder.join("x").exists());
-    let other = done(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
+    done(folder, &["suite", "run", "afgbv-cut-in", "--controller=idm", "--shard=1/2", "--out=other"]);
     assert_refused(&crumple(folder, &["merge", "1", "other", "--out=x"]), "the list of controllers differs");
     let results = folder.join("2/results.json");
     let text = fs::read_to_string(&results).unwrap();
