@@ -49,7 +49,9 @@ impl Document {
                 self.html += "<ul>";
                 open += 1;
             }
-            self.html(html! { li { (entry) } });
+            // The end of an item is implied, so that a list below it is inside of it.
+            self.html += "<li>";
+            self.html(entry);
         }
         self.html += &"</ul>".repeat(open);
         self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
