@@ -9,11 +9,7 @@
 
 use std::collections::BTreeMap;
 
-<<<<<<< HEAD:examples/learning_curve.rs
-=======
 use crate::Failure;
-use crumple_learn::rl::{LearningCurve, PERFECT};
->>>>>>> 3a3e9eabdb42391745d26bcdad0069b8f4bcb246:experiments/src/learning_curve.rs
 use crumple_report::figures::{StatedConvergence, learning_curve_beside};
 use crumple_world::policy::{LearningCurve, PERFECT};
 
