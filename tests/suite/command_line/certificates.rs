@@ -162,10 +162,8 @@ fn a_short_claim_reads_short_and_says_that_nobody_is_behind() {
 fn a_sample_is_chosen_afterwards_and_says_what_it_would_have_caught() {
     let folder = folder();
     count(folder.path(), "idm", &[]);
-    let sampled = |more: &[&str]| {
-        let output = done(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
-        output
-    };
+    let sampled =
+        |more: &[&str]| done(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
     let report = &objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];
     assert_eq!(report["counts"], "confirmed_by_sample");
     let rerun = &report["rerun"];
