@@ -7,6 +7,7 @@ pub(crate) mod falsify;
 mod fit;
 mod output_folders;
 mod outputs;
+mod printed_text;
 mod reports;
 mod retrain;
 mod shards;

@@ -1,5 +1,7 @@
 //! Costs of driving in the reward.
 
+#[cfg(doc)]
+use crumple_world::measure::caused_brake_mps2;
 use serde::{Deserialize, Serialize};
 
 /// Largest weight.
@@ -16,7 +18,7 @@ const MOST_WEIGHT: f64 = 100.0;
 /// | `acceleration` | (acceleration / 7.5 m/s²)² |
 /// | `jerk` | change of acceleration in the step / its time / 75 m/s³ |
 /// | `imposed` | braking of the vehicle behind beyond that of the one ahead / 7.5 m/s² |
-/// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`](crumple_world::measure::caused_brake_mps2)) / 7.5 m/s² |
+/// | `needless` | braking beyond 1 m/s² more than has a cause ([`caused_brake_mps2`]) / 7.5 m/s² |
 /// | `departure` | how far the action departs from the law that it is relative to, from 0 to 1 |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about a vehicle that is not there are 0.

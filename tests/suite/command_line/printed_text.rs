@@ -1,0 +1,18 @@
+//! Text that the program prints, as a reviewer last accepted it.
+
+use super::{done, folder, stdout};
+
+#[test]
+fn printed_text_is_as_reviewed() {
+    let folder = folder();
+    let commands = [
+        "--help",
+        "simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth",
+        "worst-case paper-1 --controller match-leader --estimator truth",
+        "list",
+    ];
+    for command in commands {
+        let output = done(folder.path(), &command.split(' ').collect::<Vec<_>>());
+        insta::assert_snapshot!(command, stdout(&output));
+    }
+}
