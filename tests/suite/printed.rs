@@ -24,7 +24,7 @@ fn print_rules(page: &str) -> Vec<(&str, &str)> {
     rules.flat_map(|(block, _)| block.split('}')).filter_map(|rule| rule.split_once('{')).collect()
 }
 
-/// Checks the style of a page, and the printed page itself where there is a Chromium.
+/// Checks that the style of a page hides nothing in print, and that units stay with their numbers.
 fn assert_prints_everything(page: &str, folded: usize) {
     assert!(page.matches("<details").count() >= folded);
     let rules = print_rules(page);
@@ -46,6 +46,10 @@ fn assert_prints_everything(page: &str, folded: usize) {
         let is_broken = |pair: &&[&str]| pair[0].ends_with(|c: char| c.is_ascii_digit()) && units.contains(&pair[1]);
         assert_eq!(words.windows(2).find(is_broken), None, "a line may end between a number and its unit");
     }
+}
+
+/// Prints a page where there is a Chromium, and checks that each of its texts is on paper.
+fn print_in_browser(page: &str) {
     let folder = folder();
     let file = folder.path().join("page.html");
     fs::write(&file, page).unwrap();
@@ -70,4 +74,16 @@ fn a_page_of_a_suite_prints_everything() {
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
     let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
     assert_prints_everything(&page, 1);
+    print_in_browser(&page);
+}
+
+/// Tests that `.ci/run` adds to those of `cargo test`.
+mod tier_2 {
+    use super::*;
+
+    #[test]
+    #[ignore = "tier 2: a browser prints a page of two megabytes"]
+    fn a_browser_prints_everything_of_a_report() {
+        print_in_browser(&BUILT_IN.html());
+    }
 }

@@ -6,13 +6,13 @@ use super::{done, folder, stdout};
 fn printed_text_is_as_reviewed() {
     let folder = folder();
     let commands = [
-        "--help",
-        "simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth",
-        "worst-case paper-1 --controller match-leader --estimator truth",
-        "list",
+        ("help", "--help"),
+        ("simulate", "simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth"),
+        ("worst-case", "worst-case paper-1 --controller match-leader --estimator truth"),
+        ("list", "list"),
     ];
-    for command in commands {
+    for (name, command) in commands {
         let output = done(folder.path(), &command.split(' ').collect::<Vec<_>>());
-        insta::assert_snapshot!(command, stdout(&output));
+        insta::assert_snapshot!(name, stdout(&output));
     }
 }

@@ -41,19 +41,18 @@ impl Document {
     pub(super) fn outline(&mut self, entries: Vec<(usize, Inline, Markup)>) {
         let mut open = 0;
         for (depth, _, entry) in &entries {
-            while open > depth + 1 {
-                self.html += "</ul>";
-                open -= 1;
-            }
-            if open == *depth {
+            if open > *depth {
+                self.html += &"</li></ul>".repeat(open - depth - 1);
+                self.html += "</li>";
+                open = depth + 1;
+            } else {
                 self.html += "<ul>";
                 open += 1;
             }
-            // The end of an item is implied, so that a list below it is inside of it.
             self.html += "<li>";
             self.html(entry);
         }
-        self.html += &"</ul>".repeat(open);
+        self.html += &"</li></ul>".repeat(open);
         self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
     }
 

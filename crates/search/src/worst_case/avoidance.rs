@@ -11,7 +11,7 @@ pub struct Avoidance {
     /// The answer.
     pub verdict: AvoidanceVerdict,
     /// The largest smallest gap of the escapes that were found and replayed, in metres: best found, not best there is, for a finer
-    /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`]).
+    /// grid may find a larger one. The escape shown may have less (see [`EscapeKind`](super::EscapeKind)).
     pub best_min_gap_m: Option<f64>,
     /// No escape has a larger smallest gap, in metres: a bound over every controller. With a certificate it is the certified one,
     /// otherwise as computed from multipliers of the programs. None if there is no bound, or no escape.
