@@ -30,5 +30,5 @@ fn a_box_shrinks_about_its_middle() {
     let output = run(&["smaller_box", "corpora/boxes/paper-1.toml", "0"]);
     let printed: toml::Table = String::from_utf8(output.stdout).unwrap().parse().unwrap();
     let ranges = printed["ranges"].as_table().unwrap();
-    assert!(!ranges.is_empty() && ranges.values().all(|range| range["low"] == range["high"]), "{ranges:?}");
+    assert!(!ranges.is_empty() && ranges.values().all(toml::Value::is_float), "{ranges:?}");
 }

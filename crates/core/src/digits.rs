@@ -6,7 +6,7 @@ const WRITTEN_OUT: std::ops::RangeInclusive<i32> = -4..=6;
 /// Returns a number rounded to so many significant digits, at least one: with an exponent below 0.0001 and from 10 000 000 on.
 ///
 /// ```
-/// use crate::digits::nearest;
+/// use crumple_core::digits::nearest;
 /// assert_eq!(["8.31", "0.00095569", "9.6e-5"], [nearest(8.3149, 3), nearest(9.55691e-4, 5), nearest(9.55e-5, 2)]);
 /// ```
 #[must_use]

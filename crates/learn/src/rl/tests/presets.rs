@@ -147,7 +147,7 @@ fn what_contradicts_itself_is_named() {
             "capacity = 127",
             "replay.capacity: holds 127 transitions, less than learning.batch",
         ),
-        (fast, "capacity = 100000", "capacity = 100000000", "replay.capacity: takes some "),
+        (fast, "capacity = 100000", "capacity = 100000000", "replay.capacity: training takes about "),
         (&nothing_seen, "limit = 4.0", "limit = 4.0", "environment.observation.inputs: nothing is seen"),
         (
             fast,
