@@ -54,6 +54,7 @@ __all__ = [
     "SpaceError",
     "Trace",
     "Track",
+    "allow_external",
     "TrainingError",
     "WorstCase",
     "allow_external",
