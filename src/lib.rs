@@ -20,10 +20,10 @@
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text |
 //! | [`store`] | run folders: atomic files, manifests, shards |
-//! | [`world`] | what happens: scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
-//! | [`search`] | what goes wrong: worst cases, falsification, evidence with certificates |
-//! | [`learn`] | what can be learned: training, and retraining against what was found |
-//! | [`report`] | how it is told: figures, tables, the assessment |
+//! | [`world`] | scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
+//! | [`search`] | worst cases, falsification, evidence with certificates |
+//! | [`learn`] | training, and retraining against counterexamples |
+//! | [`report`] | figures, tables, the assessment |
 //!
 //! ## Example
 //!

@@ -68,7 +68,7 @@ pub(super) const RARE_METHODS: &[Choice<RareMethod>] = &[
 
 /// Detail of the log of a search.
 pub(super) const LOGS: &[Choice<Log>] = &[
-    (Log::Full, "full", "All of it, as rows of Parquet files"),
+    (Log::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
     (Log::Summary, "summary", "Nothing: the summary and the counterexamples alone"),
 ];
 

@@ -49,7 +49,7 @@ impl Feature {
 /// Checks that this build writes files with this extension.
 ///
 /// # Errors
-/// As for [`Feature::require`].
+/// Returns the text of [`Feature::require`] for a feature that this build lacks.
 pub(super) fn require_format(extension: &str) -> Result<(), String> {
     match extension {
         "parquet" => PARQUET.require(),

@@ -153,7 +153,7 @@ fn attacked(scene: &Scene<'_>, rounds: usize, seed: u64) -> f64 {
 mod tier_2 {
     use super::*;
 
-    /// What is verified of the reference policy survives a search for the worst braking, and is not far from what that finds.
+    /// No braking that a search finds falsifies what is verified of the reference policy, and the bounds are close to the gaps found.
     #[test]
     #[ignore = "tier 2: four searches"]
     fn verified_boxes_survive_the_worst_leader_that_is_found() {

@@ -7,7 +7,7 @@ use crumple_search::falsify::campaign;
 pub enum Progress {
     /// Draws are classed for a corpus.
     Gathering {
-        /// Its file.
+        /// Corpus file that the scenarios are gathered for.
         what: &'static str,
         /// Avoidable ones so far.
         done: u64,

@@ -19,7 +19,7 @@ pub enum ConfigError {
     Field {
         /// Path of the field.
         field: String,
-        /// What is wrong.
+        /// Problem, as the end of a sentence.
         problem: String,
     },
     /// A number is out of range.
@@ -31,7 +31,7 @@ pub enum ConfigError {
         low: f64,
         /// The most.
         high: f64,
-        /// What it is.
+        /// Number as written.
         found: f64,
     },
 }

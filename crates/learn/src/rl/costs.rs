@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Largest weight.
 const MOST_WEIGHT: f64 = 100.0;
 
-/// What a step costs, as a share of the step's reward: a step without contact earns
+/// Costs of a step, as a share of its reward: a step without contact earns
 /// `step_reward * (1 - sum of weight * term)`. Every weight is 0 unless it is given.
 ///
 /// | weight | its term, from the true state after the step |
@@ -97,7 +97,7 @@ impl CostConfig {
         wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
     }
 
-    /// Whether nothing costs anything: the paper's reward.
+    /// Returns whether every weight is 0, as in the paper's reward.
     #[must_use]
     pub fn is_free(&self) -> bool {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)

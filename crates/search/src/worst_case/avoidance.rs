@@ -5,7 +5,7 @@ use crumple_verify::Certificate;
 use super::reason::Reason;
 use super::witness::Escape;
 
-/// What was found out.
+/// Result of an analysis of avoidability.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Avoidance {
     /// The answer.
@@ -16,7 +16,7 @@ pub struct Avoidance {
     /// No escape has a larger smallest gap, in metres: a bound over every controller. With a certificate it is the certified one,
     /// otherwise as computed from multipliers of the programs. None if there is no bound, or no escape.
     pub min_gap_bound_m: Option<f64>,
-    /// Why nobody keeps more, if it was asked for and could be written down; the checker has accepted it.
+    /// Certificate of the bound, if the options ask for it and it could be written; the checker has accepted it.
     pub bound_certificate: Option<Box<Certificate>>,
     /// Convex programs solved.
     pub programs: usize,
@@ -48,7 +48,7 @@ impl Optimality {
     }
 }
 
-/// Whether any driver could have avoided the collision.
+/// Verdict on whether any driver could have avoided the collision.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AvoidanceVerdict {
     /// Yes, like this.

@@ -20,7 +20,7 @@ pub(super) struct Bench<'a> {
     told: &'a mut dyn FnMut(usize) -> ControlFlow<()>,
 }
 
-/// What a profile did.
+/// Outcome of a brake profile.
 #[derive(Debug, Clone)]
 pub(super) struct Trial {
     pub(super) outcome: Outcome,

@@ -34,7 +34,7 @@ pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
     const RESULTS: &'static str;
     /// Name of the parts, in the plural.
     const PARTS: &'static str;
-    /// Whether `shard.json` has a line for each field.
+    /// Writes each field of `shard.json` on a line of its own.
     const IS_PRETTY: bool = false;
 
     /// Returns the number of parts of the whole work.

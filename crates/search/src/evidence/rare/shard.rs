@@ -66,7 +66,7 @@ impl Mergeable for ShardedEstimate {
         if is_sound { Ok(repeated) } else { Err(format!("not what shard {shard} of that estimate comes to")) }
     }
 
-    /// The same seed places the same levels on every machine.
+    /// Returns the pilot if it differs: one seed places the same levels on every machine.
     fn contradiction(one: &Repeated, other: &Repeated) -> Option<String> {
         (one.pilot != other.pilot).then(|| "the pilot, as of another build,".to_owned())
     }

@@ -69,7 +69,7 @@ pub struct Campaign {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Log {
-    /// Every one, as a row of Parquet files.
+    /// Every evaluation, as a row of a compressed CSV file.
     #[default]
     Full,
     /// None: the summary and the counterexamples alone.

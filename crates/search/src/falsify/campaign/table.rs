@@ -20,7 +20,7 @@ use crate::falsify::Method;
 use crumple_store::work::{Changes, Work};
 use crumple_world::measure::{Braking, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
-use crumple_world::scenario::space::{Parameter, Space};
+use crumple_world::scenario::space::{KEY_COLUMNS, Parameter, RESULT_COLUMNS, Space};
 
 /// Rows of a part.
 const ROWS: usize = 65_536;
@@ -30,18 +30,6 @@ const MAX_FIELD_BYTES: usize = 64;
 
 /// File name extension of a part.
 const EXTENSION: &str = ".csv.gz";
-
-/// Columns after the coordinates.
-const RESULTS: [&str; 8] = [
-    "ln_likelihood",
-    "robustness",
-    "contact_time_s",
-    "front_vehicle",
-    "rear_vehicle",
-    "impact_speed_mps",
-    "ego_braking",
-    "rear_class",
-];
 
 /// Writes rows to parts.
 pub(super) struct Table<'a> {
@@ -113,7 +101,7 @@ impl<'a> Table<'a> {
 
 fn columns(space: &Space) -> Vec<String> {
     let texts = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
-    [texts(&["method", "evaluation"]), space.coordinate_names(), texts(&RESULTS)].concat()
+    [texts(&KEY_COLUMNS), space.coordinate_names(), texts(&RESULT_COLUMNS)].concat()
 }
 
 /// Formats a number so that it reads back as the same, with an exponent where decimals would be long.

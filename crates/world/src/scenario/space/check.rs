@@ -37,10 +37,11 @@ impl InvalidSpace {
     }
 }
 
-/// Names that mean something else in tables of evaluations.
-const RESERVED: [&str; 10] = [
-    "method",
-    "evaluation",
+/// Columns of an evaluation log before those of the coordinates. No parameter may have such a name.
+pub const KEY_COLUMNS: [&str; 2] = ["method", "evaluation"];
+
+/// Columns of an evaluation log after those of the coordinates. No parameter may have such a name.
+pub const RESULT_COLUMNS: [&str; 8] = [
     "ln_likelihood",
     "robustness",
     "contact_time_s",
@@ -137,7 +138,7 @@ impl Space {
         if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
             return wrong(at("name"), "must be 1 to 60 letters, digits and underscores");
         }
-        if RESERVED.contains(&spec.name.as_str()) {
+        if KEY_COLUMNS.iter().chain(&RESULT_COLUMNS).any(|column| *column == spec.name) {
             return wrong(at("name"), format!("`{}` is a column of every table of evaluations", spec.name));
         }
         if self.parameters.iter().any(|known| known.name == spec.name) {

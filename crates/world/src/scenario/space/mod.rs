@@ -69,7 +69,7 @@ use std::ops::Range;
 use rand::RngExt;
 
 pub use built_in::{BUILT_IN_SPACES, UnknownSpace, built_in_space, find_space};
-pub use check::InvalidSpace;
+pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
 pub use observed::{Exposure, Observed, ObservedParameter, SourceExposure};
 pub use ready::ReadyDistribution;

@@ -7,7 +7,7 @@
 //! not go on from it. Records reach the disk once a second at least: a loss of power takes no more, and what it leaves instead of
 //! them, nothing or zeros to the end, counts as cut short. How the journal began when it last reached the disk is known to the
 //! folder's manifest ([`Work::grew`](crumple_store::work::Work::grew)), so that nothing before that can be cut off. It is removed once the
-//! campaign is complete: its contents are then in the Parquet files.
+//! campaign is complete: its contents are then in the evaluation log.
 
 mod record;
 
