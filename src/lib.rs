@@ -21,7 +21,9 @@
 //! | [`core`] | digests, rounded numbers, quoted text |
 //! | [`store`] | run folders: atomic files, manifests, shards |
 //! | [`world`] | scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
-//! | [`search`] | worst cases, falsification, evidence with certificates |
+//! | [`search`] | worst cases, falsification |
+//! | [`evidence`] | failure rates and claims with certificates, spaces fitted to recordings |
+//! | [`suites`] | tests after regulations |
 //! | [`learn`] | training, and retraining against counterexamples |
 //! | [`report`] | figures, tables, the assessment |
 //!
@@ -42,15 +44,17 @@
 //! ```
 
 pub use crumple_core as core;
+pub use crumple_evidence as evidence;
 pub use crumple_learn as learn;
 pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_store as store;
+pub use crumple_suites as suites;
 pub use crumple_world as world;
 
+pub use crumple_evidence::RatePlan;
 pub use crumple_learn::rl::{TrainingConfig, train};
 pub use crumple_report::assessment::{Assessment, AssessmentPlan, assess};
-pub use crumple_search::evidence::RatePlan;
 pub use crumple_search::falsify::campaign::Campaign;
 pub use crumple_search::worst_case::{attack, avoid};
 pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec};

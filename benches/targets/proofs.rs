@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_search::evidence::{BoxSpec, ReachPlan};
+use crumple_evidence::{BoxSpec, ReachPlan};
 use crumple_search::worst_case::{AvoidOptions, avoid};
 use crumple_world::scenario::PAPER_STEP_S;
 

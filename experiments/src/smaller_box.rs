@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use crate::Failure;
-use crumple_search::evidence::BoxSpec;
+use crumple_evidence::BoxSpec;
 use crumple_verify::Interval;
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {

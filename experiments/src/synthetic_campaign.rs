@@ -12,7 +12,7 @@ use std::path::Path;
 
 use crate::Failure;
 use crumple_core::digest::sha256;
-use crumple_search::evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crumple_evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
 use crumple_store::shard::Shard;
 use crumple_store::work::{Asked, Work};
 use crumple_world::control::ControllerSpec;

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use crumple_search::evidence::{RateConfig, RateFolderError, RatePlan};
+use crumple_evidence::{RateConfig, RateFolderError, RatePlan};
 use crumple_verify::check;
 use pyo3::prelude::*;
 

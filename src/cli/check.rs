@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
-use crumple_search::evidence::{
+use crumple_evidence::{
     CertificateReport, Counts, Rerun, RerunError, Sample, checker_file, lies_within, report_json, report_text,
 };
 use crumple_world::control::NamedBy;

@@ -1,7 +1,7 @@
 //! Arguments that choose one of a few values by name.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use crumple_search::evidence::rare::RareMethod;
+use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::Log;
 use crumple_search::worst_case::{Aim, EscapeKind};
 use crumple_world::observation::EstimatorKind;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use crumple_search::evidence::{CruisePlan, Proved, Sampled};
+use crumple_evidence::{CruisePlan, Proved, Sampled};
 use crumple_verify::{Accepted, WorkLimit, check_within};
 use crumple_world::network::NetworkFile;
 

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use crumple_core::digits::nearest;
 use crumple_core::quoted::Terminal;
-use crumple_search::evidence::exposed::{ExposedRate, Figure, Figures, LEAST_RESAMPLES, WithData};
+use crumple_evidence::exposed::{ExposedRate, Figure, Figures, LEAST_RESAMPLES, WithData};
 
 /// The option `--resamples`: none, or enough for an interval.
 pub(super) fn resamples(text: &str) -> Result<u32, String> {

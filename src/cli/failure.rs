@@ -6,14 +6,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use super::output;
+use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::rl::GatherError;
 use crumple_report::assessment::{AssessError, ConfigError, EvidenceShardError, StoreError};
-use crumple_search::evidence::rare::RareError;
 use crumple_search::falsify::campaign::CampaignError;
-use crumple_search::suite::{SuiteError, SuiteShardError};
 use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
+use crumple_suites::{SuiteError, SuiteShardError};
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{RefusedController, RunError};

@@ -8,16 +8,16 @@ use serde::Serialize;
 use super::simulate::Format;
 use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
 use crumple_core::digits;
+use crumple_evidence::RateFolderError;
+use crumple_evidence::exposed::ExposedRate;
+use crumple_evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
+use crumple_evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
 use crumple_learn::rl::{MergedTrainings, is_of_trainings};
 use crumple_report::assessment::{MergedEvidence, SHARD_OF_AN_ASSESSMENT};
-use crumple_search::evidence::RateFolderError;
-use crumple_search::evidence::exposed::ExposedRate;
-use crumple_search::evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
-use crumple_search::evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
 use crumple_search::falsify::campaign::{MergedCampaign, SHARD_OF_A_CAMPAIGN};
-use crumple_search::suite::{MergedSuite, SHARD_OF_A_SUITE};
 use crumple_store::shard::{MergeError, as_array};
 use crumple_store::work::{Finished, Found, find};
+use crumple_suites::{MergedSuite, SHARD_OF_A_SUITE};
 
 /// Put shards together that were made on several machines (see --shard)
 #[derive(Args)]

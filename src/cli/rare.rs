@@ -9,7 +9,7 @@ use super::simulate::Format;
 use super::{Failure, exposed, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoted::Terminal;
-use crumple_search::evidence::rare::{
+use crumple_evidence::rare::{
     Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_store::shard::{MissingShards, Shard};

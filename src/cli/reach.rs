@@ -11,7 +11,7 @@ use super::output;
 use super::output_folder::stage;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
-use crumple_search::evidence::{BoxSpec, Doubts, InvalidBox, Partition, ReachPlan, Shares};
+use crumple_evidence::{BoxSpec, Doubts, InvalidBox, Partition, ReachPlan, Shares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 

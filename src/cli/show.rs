@@ -7,7 +7,7 @@ use super::reach::BOXES;
 use super::{Failure, output};
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
-use crumple_search::suite::SHIPPED;
+use crumple_suites::SHIPPED;
 use crumple_world::recording::map::BUILT_IN_MAPS;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
 use crumple_world::scenario::{Scenario, VehicleClass, built_in, built_in_names, file};

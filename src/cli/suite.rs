@@ -9,10 +9,10 @@ use serde::Serialize;
 use super::{Failure, choice, interrupt, output, progress, subject, suite_folder, suite_map};
 use crumple_core::quoted::ShellWord;
 use crumple_report::suite;
-use crumple_search::suite::{
+use crumple_store::shard::{MissingShards, Shard};
+use crumple_suites::{
     Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteResult, TestVerdict, Tested, run, run_shard,
 };
-use crumple_store::shard::{MissingShards, Shard};
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;

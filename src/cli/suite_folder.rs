@@ -6,8 +6,8 @@ use std::path::Path;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{Failure, output};
-use crumple_search::suite::{Failed, SuiteResult, Tested};
 use crumple_store::disk::DiskError;
+use crumple_suites::{Failed, SuiteResult, Tested};
 use crumple_world::scenario::file;
 
 /// Opens the folder, and reads which files an earlier run wrote there. The ending keeps the listing from being read as a scenario.

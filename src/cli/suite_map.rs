@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 use super::simulate::Format;
 use super::{Failure, choice, feature, output, subject};
 use crumple_report::suite::{map_figure, map_html, map_text};
-use crumple_search::suite::{CrashMap, MapProblem, MapSpec, Situation};
 use crumple_store::disk::Files;
+use crumple_suites::{CrashMap, MapProblem, MapSpec, Situation};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

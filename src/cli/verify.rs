@@ -10,11 +10,9 @@ use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
-use crumple_search::evidence::exposed::ExposedRate;
-use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
-use crumple_search::evidence::{
-    CertificateReport, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels,
-};
+use crumple_evidence::exposed::ExposedRate;
+use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
+use crumple_evidence::{CertificateReport, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels};
 use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;

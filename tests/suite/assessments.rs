@@ -4,10 +4,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
     AssessConfig, Assessment, AssessmentPlan, Gate, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
 };
-use crumple_search::evidence::{RateConfig, RatePlan};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
 use crumple_world::measure::Specification;

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
 use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, Store, assess};
-use crumple_search::evidence::{InvalidRate, RateConfig, RatePlan};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign};
 use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, Needs, ShieldSettings};

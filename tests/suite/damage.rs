@@ -8,10 +8,10 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use crate::tiny;
+use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
+use crumple_evidence::{RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, Settings};
 use crumple_learn::rl::{HeldOut, TrainingConfig, TrainingFolder};
-use crumple_search::evidence::rare::{Effort, RareMethod, RarePlan};
-use crumple_search::evidence::{RateConfig, RatePlan};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign};
 use crumple_world::control::ControllerSpec;
@@ -51,7 +51,7 @@ fn count(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<()
         runs: 300,
         confidence: 0.9,
     });
-    let (plan, error) = (plan.unwrap(), |error: crumple_search::evidence::RateFolderError| error.to_string());
+    let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| error.to_string());
     let mut count = plan.register_in(folder, true).map_err(error)?;
     let certificate = count.certificate(&mut |_, _| {
         tick();
@@ -70,7 +70,7 @@ fn estimate(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result
         seed,
         effort: Effort { samples: 50, repetitions: 10 },
     };
-    let (error, tick) = (|error: crumple_search::evidence::rare::RareError| error.to_string(), Mutex::new(tick));
+    let (error, tick) = (|error: crumple_evidence::rare::RareError| error.to_string(), Mutex::new(tick));
     let done = |_| tick.lock().unwrap_or_else(PoisonError::into_inner)();
     let mut kept = plan.in_folder(folder, true).map_err(error)?;
     if kept.kept().map_err(error)?.is_some() {

@@ -3,7 +3,7 @@
 
 mod changes;
 
-use crumple_search::evidence::{
+use crumple_evidence::{
     BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within,
     shipped_kernels,
 };

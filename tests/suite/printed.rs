@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_report::suite::html;
-use crumple_search::suite::{Suite, run};
+use crumple_suites::{Suite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crumple_search::evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
+use crumple_evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
 use crumple_verify::{Accepted, Certificate, Statement, check_with};
 use crumple_world::control::{

@@ -5,9 +5,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
 use crumple_fuzzing::{self, FileFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
-use crumple_search::evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
 use crumple_verify::reach::{Cell, Dimension};
 use crumple_verify::{Certificate, Reach, Statement};

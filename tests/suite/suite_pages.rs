@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crumple_report::assessment::{AssessmentPlan, Gate, Property, Store, Strength, SuiteConfig, assess};
 use crumple_report::suite::html;
-use crumple_search::suite::{Beyond, MarginEnd, STATEMENT, Suite, run};
+use crumple_suites::{Beyond, MarginEnd, STATEMENT, Suite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 

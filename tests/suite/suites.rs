@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crumple_search::suite::{
+use crumple_suites::{
     Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite,
     TestVerdict, Unit, json_schema, run,
 };
@@ -197,7 +197,7 @@ fn times_of_cut_ins_are_those_of_their_formula() {
 #[test]
 fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
     let schema = json_schema();
-    assert_committed("crates/search/src/suite/suite.schema.json", &schema);
+    assert_committed("crates/suites/src/suite.schema.json", &schema);
     for (name, text) in SHIPPED {
         let value: serde_json::Value = toml::from_str(text).unwrap();
         validate(&schema, &schema, &value, name).unwrap();

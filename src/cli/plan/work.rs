@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::Plan;
 use crate::cli::{Failure, output, subject};
-use crumple_search::evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
+use crumple_evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::Shard;
 use crumple_world::control::is_external_allowed;

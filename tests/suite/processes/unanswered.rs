@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_search::suite::{MapSpec, Situation, Suite, SuiteRunError, run};
+use crumple_suites::{MapSpec, Situation, Suite, SuiteRunError, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Standing;
 use super::regression::{InSpace, SIGNIFICANCE};
 use crumple_core::digits::nearest;
-use crumple_search::evidence::Discordant;
+use crumple_evidence::Discordant;
 
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

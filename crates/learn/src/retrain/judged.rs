@@ -8,7 +8,7 @@ use super::RetrainError;
 use super::corpus::Corpus;
 use super::files::{read_json, write_json};
 use super::plan::{JUDGED_SEED, RetrainingPlan};
-use crumple_search::evidence::RateInterval;
+use crumple_evidence::RateInterval;
 use crumple_store::work::Work;
 use crumple_world::sim::{Contact, NamedController};
 

@@ -2,7 +2,7 @@
 
 use super::{Assessment, Gate, GateResult, SuiteFindings};
 use crate::junit::{self, Case, Status, Suite};
-use crumple_search::suite::STATEMENT;
+use crumple_suites::STATEMENT;
 
 /// Renders gates and the tests of suites as test cases. A build fails only because of a gate; claims about controllers
 /// are properties, which fail no build.

@@ -56,11 +56,11 @@ pub use rounded::Rounded;
 pub use shard::{EvidenceShardError, MergedEvidence, SHARD_OF_AN_ASSESSMENT, gather_shard};
 pub use store::{EvidenceHash, Store, StoreError};
 
-use crumple_search::evidence::{InvalidRate, RateError};
+use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
-use crumple_search::suite::SuiteRunError;
 use crumple_search::worst_case::AttackError;
 use crumple_store::work::{MANIFEST, manifest_of};
+use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};

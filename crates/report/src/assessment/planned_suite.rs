@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::AssessConfig;
 use super::claims::Known;
-use crumple_search::suite::{SHIPPED, Suite};
+use crumple_suites::{SHIPPED, Suite};
 use crumple_world::sim::NamedController;
 
 /// Most suites of an assessment.

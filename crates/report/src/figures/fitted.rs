@@ -3,7 +3,7 @@
 use maud::html;
 
 use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, padded};
-use crumple_search::fit::{Fitted, FittedNumber, shown_p};
+use crumple_evidence::fit::{Fitted, FittedNumber, shown_p};
 
 /// Size of a panel, in pixels, and what lies between two of them.
 const PANEL: (f64, f64) = (340.0, 200.0);

@@ -2,7 +2,7 @@
 
 use super::words::{least_margins, verdict, within_in_words};
 use crate::junit::{self, Case, Status, Suite};
-use crumple_search::suite::{SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_suites::{SuiteResult, TestResult, TestVerdict, Tested};
 
 /// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
 /// cannot run is skipped.

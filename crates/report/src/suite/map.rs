@@ -7,7 +7,7 @@ use maud::{DOCTYPE, Markup, html};
 use super::map_figure;
 use super::page::{head, seen};
 use crumple_core::quoted::{Lines, Terminal};
-use crumple_search::suite::{CrashCell, CrashMap, MapPanel, TestVerdict};
+use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
 /// What no source at hand states.
 const PUBLISHED: &str =

@@ -7,7 +7,7 @@ use crate::draw::{
     self, Anchor, Axis, BELOW, CellLook, Frame, HEADING, Ink, KeyEntry, LEFT, Marker, Panel, SMALL, Stroke, Svg,
     grid_frames, words,
 };
-use crumple_search::suite::{Boundary, CrashMap, MapAxis, MapPanel};
+use crumple_suites::{Boundary, CrashMap, MapAxis, MapPanel};
 
 /// Both arrangements, of which the page shows the one that fits.
 pub(super) fn responsive(map: &CrashMap) -> Markup {

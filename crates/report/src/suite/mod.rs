@@ -10,7 +10,7 @@ mod words;
 use std::fmt::Write;
 
 use crumple_core::quoted::Terminal;
-use crumple_search::suite::{Failed, SuiteResult, TestResult, Tested};
+use crumple_suites::{Failed, SuiteResult, TestResult, Tested};
 
 pub use junit::xml;
 pub use map::{map_html, map_text};

@@ -7,7 +7,7 @@ use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
 use crate::units::without_breaks_before_units;
 use crumple_core::quoted::Lines;
-use crumple_search::suite::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_suites::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 

@@ -2,7 +2,7 @@
 
 use super::words::least;
 use crate::markdown::Markdown;
-use crumple_search::suite::{Margin, MarginEnd, STATEMENT, SuiteResult, TestVerdict, Tested};
+use crumple_suites::{Margin, MarginEnd, STATEMENT, SuiteResult, TestVerdict, Tested};
 
 /// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
 /// test that passes can be pushed.
@@ -20,7 +20,7 @@ pub fn table(results: &[SuiteResult]) -> String {
     let names = first.controllers.iter().map(|tested| tested.controller.clone());
     let header: Vec<String> = ["suite", "test"].map(str::to_owned).into_iter().chain(names).collect();
     let columns = vec!["---"; header.len()];
-    let row = |(result, test): (&SuiteResult, &crumple_search::suite::TestResult)| {
+    let row = |(result, test): (&SuiteResult, &crumple_suites::TestResult)| {
         let chosen = if test.is_as_stated { "" } else { "*" };
         let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
         head.into_iter().chain(test.controllers.iter().map(cell)).collect()

@@ -1,6 +1,6 @@
 //! What a run of a suite found, in words.
 
-use crumple_search::suite::{Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Tested, Within};
+use crumple_suites::{Beyond, Failed, ImpactLimit, Margin, MarginEnd, Prevention, TestVerdict, Tested, Within};
 
 /// A verdict in words.
 pub(crate) fn verdict(verdict: &TestVerdict) -> String {

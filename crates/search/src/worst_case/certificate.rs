@@ -89,7 +89,8 @@ fn relies_on_noise(scenario: &Scenario) -> bool {
 
 /// A statement as a certificate of this program, with the assumptions it needs: about a scenario or space with this name and
 /// text, and perhaps a box around it.
-pub(crate) fn certificate_about(
+#[must_use]
+pub fn certificate_about(
     scenario: String,
     scenario_text: Option<String>,
     box_text: Option<String>,
@@ -200,7 +201,8 @@ pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
 }
 
 /// Whether a certificate's claim is about exactly this family: no other scene and no smaller or larger box.
-pub(crate) fn is_exactly(certificate: &Certificate, family: &Family) -> bool {
+#[must_use]
+pub fn is_exactly(certificate: &Certificate, family: &Family) -> bool {
     let Ok(situation) = Situation::new(family) else { return false };
     models(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&scene(&situation))
 }

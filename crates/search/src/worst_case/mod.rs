@@ -48,8 +48,7 @@ pub use attack::{
 };
 pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-pub use certificate::is_about;
-pub(crate) use certificate::{certificate_about, is_exactly};
+pub use certificate::{certificate_about, is_about, is_exactly};
 pub use closed_loop::Effort;
 pub(crate) use descent::{Descent, Limits, Pace};
 pub use emergency_brake::EmergencyBrake;

@@ -12,7 +12,7 @@ use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
 use crumple_core::digest::sha256;
-use crumple_search::evidence::{
+use crumple_evidence::{
     CertificateReport, RateInterval, checker_file, kernel_certificate, lies_within, shipped_kernels,
 };
 use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};

@@ -7,7 +7,7 @@ use crate::assessment::claims::Strength;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
-use crumple_search::evidence::{RateConfig, RatePlan, shipped_kernels};
+use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::sim::NamedController;
 
 /// The seed of counted runs: not that of the draws that are reported elsewhere.

@@ -12,8 +12,8 @@ use crate::assessment::table::{Cell, Column, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
-use crumple_search::evidence::RateInterval;
-use crumple_search::evidence::exposed::{ExposedRate, Probability};
+use crumple_evidence::RateInterval;
+use crumple_evidence::exposed::{ExposedRate, Probability};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,

@@ -6,7 +6,7 @@ use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan};
 use crumple_core::digits::nearest;
-use crumple_search::evidence::exposed::{ExposedRate, Figure, Probability, WithData, run_again};
+use crumple_evidence::exposed::{ExposedRate, Figure, Probability, WithData, run_again};
 use crumple_world::scenario::space::Space;
 use crumple_world::sim::NamedController;
 

@@ -20,7 +20,7 @@ use crate::assessment::prose::prose;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, StoreError};
-use crumple_search::evidence::RateInterval;
+use crumple_evidence::RateInterval;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Aim, Campaign, Log, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};

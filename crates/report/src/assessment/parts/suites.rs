@@ -16,7 +16,7 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
 use crate::suite::{least_margins, preventable, verdict, within_in_words};
 use crumple_core::digest::sha256;
-use crumple_search::suite::{Failed, STATEMENT, TestVerdict, Tested, run};
+use crumple_suites::{Failed, STATEMENT, TestVerdict, Tested, run};
 use crumple_world::scenario::file;
 use crumple_world::sim::{NamedController, Unanswered};
 

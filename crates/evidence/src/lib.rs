@@ -1,5 +1,5 @@
-//! What can be claimed with a certificate: kernels of shields, failure rates, and where a policy or a network cannot fail; and what can
-//! only be estimated, the probability of failures too rare to count.
+//! Claims with a certificate: kernels of shields, failure rates, and boxes in which a policy or a network cannot fail. Estimates without
+//! one: the probability of failures that are too rare to count. [`fit`] fits search spaces to recorded episodes.
 //!
 //! This side proposes; `crumple_verify` decides. No certificate is written that it has not accepted.
 
@@ -9,6 +9,7 @@ mod block;
 mod certificate_report;
 mod cruise;
 pub mod exposed;
+pub mod fit;
 mod interval;
 mod kernel;
 mod paired;
@@ -42,7 +43,7 @@ pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 
 use crumple_verify::{Certificate, Statement};
 
-use crate::worst_case::certificate_about;
+use crumple_search::worst_case::certificate_about;
 
 /// A statement about no scenario as a certificate of this program, with the assumptions it needs.
 fn certificate(statement: Statement) -> Certificate {

@@ -237,7 +237,7 @@ pub(super) fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evidence::RateConfig;
+    use crate::RateConfig;
     use crumple_world::control::ControllerSpec;
     use crumple_world::observation::EstimatorKind;
     use crumple_world::scenario::space::built_in_space;

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::starts::Starts;
-use crate::worst_case::certificate_about;
 use crumple_core::digest::sha256;
+use crumple_search::worst_case::certificate_about;
 use crumple_world::control::InvalidMapping;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};

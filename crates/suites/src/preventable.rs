@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
 use super::run::{Criterion, Driven, Known};
-use crate::falsify::counterexample::{Avoidability, Classed};
+use crumple_search::falsify::counterexample::{Avoidability, Classed};
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
 const MOST_ASKED: usize = 3;

@@ -9,7 +9,7 @@ use super::figure::{Figures, ImpactLimit};
 use super::margin::Margin;
 use super::preventable::ReferenceRun;
 use super::within::Within;
-use crate::falsify::counterexample::Avoidability;
+use crumple_search::falsify::counterexample::Avoidability;
 
 /// What goes with every result.
 pub const STATEMENT: &str = "After the document, on a point-mass model in one lane. This is no certification.";

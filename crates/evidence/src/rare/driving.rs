@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Effort, Estimate, Pilot, Problem, RareMethod, State};
-use crate::evidence::exposed::{ExposedRate, Part, Probability, estimate_again};
+use crate::exposed::{ExposedRate, Part, Probability, estimate_again};
 use crumple_core::digest::sha256;
 use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_store::work::WorkError;

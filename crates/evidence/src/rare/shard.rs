@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
-use crate::evidence::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
+use crate::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
 use crumple_core::digest::sha256;
 use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
 use crumple_store::work::{Finished, WorkError};

@@ -7,26 +7,26 @@ use std::ops::Range;
 
 /// Which of so many resamples belong to some of `all` parts of the work: those of parts that follow each other follow each other, too,
 /// however the parts are divided.
-pub(in crate::evidence) fn own_resamples(resamples: u32, parts: &Range<u64>, all: u64) -> Range<u64> {
+pub(crate) fn own_resamples(resamples: u32, parts: &Range<u64>, all: u64) -> Range<u64> {
     // No larger than the number of resamples.
     let before = |part: u64| (u128::from(part) * u128::from(resamples)).div_ceil(u128::from(all.max(1))) as u64;
     before(parts.start)..before(parts.end)
 }
 
 /// The resamples of a shard, while they are gone through.
-pub(in crate::evidence) struct Part<T> {
+pub(crate) struct Part<T> {
     own: Range<u64>,
     next: u64,
     found: Vec<T>,
 }
 
 impl<T: Clone> Part<T> {
-    pub(in crate::evidence) fn of(own: Range<u64>) -> Self {
+    pub(crate) fn of(own: Range<u64>) -> Self {
         Self { own, next: 0, found: Vec::new() }
     }
 
     /// What comes of the next one: found out if it is one of its own, and `none` otherwise.
-    pub(in crate::evidence) fn next<E>(&mut self, none: T, find: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
+    pub(crate) fn next<E>(&mut self, none: T, find: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
         let is_own = self.own.contains(&self.next);
         self.next += 1;
         if !is_own {
@@ -38,32 +38,32 @@ impl<T: Clone> Part<T> {
     }
 
     /// What came of its own, in order.
-    pub(in crate::evidence) fn found(self) -> Vec<T> {
+    pub(crate) fn found(self) -> Vec<T> {
         self.found
     }
 }
 
 /// What shards kept of their resamples, in order.
-pub(in crate::evidence) struct PutTogether<T> {
+pub(crate) struct PutTogether<T> {
     kept: std::vec::IntoIter<T>,
 }
 
 /// There are more or fewer of them than the space has.
 #[derive(Debug)]
-pub(in crate::evidence) struct OtherResamples;
+pub(crate) struct OtherResamples;
 
 impl<T> PutTogether<T> {
-    pub(in crate::evidence) fn of(kept: Vec<T>) -> Self {
+    pub(crate) fn of(kept: Vec<T>) -> Self {
         Self { kept: kept.into_iter() }
     }
 
     /// What came of the next one.
-    pub(in crate::evidence) fn next(&mut self) -> Result<T, OtherResamples> {
+    pub(crate) fn next(&mut self) -> Result<T, OtherResamples> {
         self.kept.next().ok_or(OtherResamples)
     }
 
     /// Whether all were asked for.
-    pub(in crate::evidence) fn end(self) -> Result<(), OtherResamples> {
+    pub(crate) fn end(self) -> Result<(), OtherResamples> {
         if self.kept.len() == 0 { Ok(()) } else { Err(OtherResamples) }
     }
 }

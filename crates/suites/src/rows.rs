@@ -8,7 +8,7 @@ use super::margin::Margin;
 use super::preventable::ReferenceRun;
 use super::result::{Failed, TestVerdict, Tested};
 use super::within::Within;
-use crate::falsify::counterexample::Avoidability;
+use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
 use crumple_world::sim::Unanswered;
 

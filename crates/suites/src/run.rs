@@ -16,7 +16,7 @@ use super::preventable::{Prevented, prevented};
 use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, SuiteSpec, TestSpec};
 use super::within::{Within, Worst, worst};
-use crate::falsify::counterexample::Classed;
+use crumple_search::falsify::counterexample::Classed;
 
 /// Why a suite or a map of one is not run to its end.
 #[derive(Debug, thiserror::Error)]

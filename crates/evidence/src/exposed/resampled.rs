@@ -4,8 +4,8 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use crate::evidence::rare::Estimate;
 use crate::fit::{edited, refitted, resampled};
+use crate::rare::Estimate;
 use crumple_world::random::{Purpose, derived_seed, stream};
 use crumple_world::scenario::space::Space;
 

@@ -2,7 +2,7 @@
 
 use super::FitError;
 use super::family::{Family, FamilyFit, NoFit};
-use crate::evidence::RateInterval;
+use crate::RateInterval;
 use crumple_world::scenario::space::{Choice, Distribution, ObservedParameter, PointMass, Value};
 use serde::Serialize;
 

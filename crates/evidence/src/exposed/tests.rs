@@ -1,6 +1,6 @@
 use super::*;
-use crate::evidence::rare::Level;
 use crate::fit::refitted;
+use crate::rare::Level;
 use crumple_world::random::{Purpose, Stream, stream};
 use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, file};
 use rand::RngExt;

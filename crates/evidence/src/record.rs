@@ -7,8 +7,8 @@ use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
 use serde::{Deserialize, Serialize};
 
 use super::{CountedBlock, binomial};
-use crate::worst_case::certificate_about;
 use crumple_core::digest::sha256;
+use crumple_search::worst_case::certificate_about;
 use crumple_world::sim::Unanswered;
 
 /// What was fixed before the first run, and the space as a file: enough for the certificate of what was counted, wherever that was.

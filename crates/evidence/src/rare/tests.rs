@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::*;
-use crate::evidence::{RateConfig, RatePlan};
+use crate::{RateConfig, RatePlan};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;

@@ -6,7 +6,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::evidence::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crate::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
 use crumple_store::shard::Shard;
 use crumple_store::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
