@@ -1,5 +1,5 @@
-//! A campaign of forgeries: of thousands of certificates that were changed as a forger would change them, none is accepted for more than
-//! the genuine one shows. `FORGERIES=26000` tries so many, a fifth of which come out as they were; it is what `.ci/run` asks for.
+//! Changes thousands of certificates as a forger would. None is accepted for more than the genuine one shows. `FORGERIES` is the number of
+//! attempts, a fifth of which leave the certificate unchanged.
 
 mod changes;
 

@@ -60,7 +60,7 @@ fn run(campaign: &Campaign, folder: &Path, threads: usize) -> Summary {
 }
 
 proptest! {
-    #![proptest_config(cases(8))]
+    #![proptest_config(cases(2))]
 
     /// Every counterexample is a file that fails as it is said to, as found and as shrunk, and somebody's budget paid for it.
     #[test]

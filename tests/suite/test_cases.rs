@@ -54,7 +54,7 @@ fn hardly_any_trial_is_left_undecided() {
 }
 
 proptest! {
-    #![proptest_config(cases(48))]
+    #![proptest_config(cases(12))]
 
     /// Whatever is done to the files of a campaign's folder, it is not taken for the genuine one.
     #[test]
