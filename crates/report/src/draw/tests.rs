@@ -81,7 +81,7 @@ fn track(length_m: f64, position_m: Vec<f64>, speed_mps: Vec<f64>) -> Track {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(24))]
+    #![proptest_config(crumple_cases::cases(8))]
 
     #[test]
     fn no_words_of_a_figure_overlap_and_all_lie_inside(
