@@ -81,7 +81,7 @@ fn assert_same(one: &Path, other: &Path, name: &str) {
 }
 
 proptest! {
-    #![proptest_config(crumple_cases::cases(8))]
+    #![proptest_config(crumple_cases::cases(2))]
 
     /// Interrupted wherever it is, again and again, on any number of threads, it ends with the bytes of what nothing happened to.
     #[test]

@@ -139,7 +139,7 @@ fn a_divided_search_is_one_campaign_with_what_is_missing() {
     one.write_in(out.path()).unwrap();
     assert!(files(out.path()) == files(single.path()), "shard 1/1 is the campaign");
     let of_one = one.summary().unwrap();
-    proptest!(crumple_cases::cases(5), |(shards in divisions(), keep in 1..20_usize)| {
+    proptest!(crumple_cases::cases(2), |(shards in divisions(), keep in 1..20_usize)| {
         let mut parts = shards.clone();
         parts.truncate(keep);
         let folders: Vec<PathBuf> = parts.iter().map(|shard| folder(root.path(), *shard)).collect();
