@@ -551,8 +551,9 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
     for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
         fs::copy(corpus().join(name), folder.path().join(name)).unwrap();
     }
-    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\ndraws = 20\n\
-                  distributions = [\"paper\"]\nsearch = { spaces = [\"paper\"], budget = 20 }\n";
+    let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = 20\n\
+                  everyday_draws = 1\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
+                  search = { spaces = [\"high-risk\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
     assert_eq!(code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));

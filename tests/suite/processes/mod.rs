@@ -375,20 +375,27 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
     assert!(said.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {said}");
 }
 
-/// Killed at any moment, a campaign goes on to the same bytes.
-#[test]
-fn a_campaign_with_a_process_goes_on_after_a_kill() {
-    let Some(folder) = with_python() else { return };
-    let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
-    let alone = crate::tiny::changed(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
-    fs::write(folder.path().join("alone.toml"), alone).unwrap();
-    let campaign = ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
-    let through = crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
-    assert_eq!(code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
-    let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
-    let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
-    assert!(killed >= 2, "killed {killed} times");
-    let ended = crumple(folder.path(), &resume);
-    assert_eq!((code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
-    assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+/// Tests that `.ci/run` adds to those of `cargo test`.
+mod tier_2 {
+    use super::*;
+
+    /// A campaign that is killed at any moment resumes and ends with the same bytes.
+    #[test]
+    #[ignore = "tier 2: seconds between kills"]
+    fn a_campaign_with_a_process_goes_on_after_a_kill() {
+        let Some(folder) = with_python() else { return };
+        let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
+        let alone = crate::tiny::changed(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
+        fs::write(folder.path().join("alone.toml"), alone).unwrap();
+        let campaign =
+            ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
+        let through = crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
+        assert_eq!(code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
+        let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
+        let killed = killed_at_random(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
+        assert!(killed >= 2, "killed {killed} times");
+        let ended = crumple(folder.path(), &resume);
+        assert_eq!((code(&ended), ended.stdout), (0, through.stdout), "{}", String::from_utf8_lossy(&ended.stderr));
+        assert_same(&folder.path().join("through"), &folder.path().join("killed"));
+    }
 }
