@@ -87,7 +87,7 @@ pub struct Question<'t> {
     /// Who is questioned.
     pub system: &'t dyn System,
     /// The test case made ready to run.
-    pub run: Run<'t>,
+    pub run: Run,
     /// What came of it, with its trace.
     pub result: Simulated,
 }

@@ -17,6 +17,7 @@ mod validate;
 mod vehicle;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -120,7 +121,8 @@ impl Default for Sensors {
 
 /// A valid scenario.
 ///
-/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again.
+/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again. Clones share the data, so runs and
+/// episodes own their scenario.
 ///
 /// ```
 /// use crumple_world::scenario::built_in;
@@ -132,7 +134,7 @@ impl Default for Sensors {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
-    spec: ScenarioSpec,
+    spec: Arc<ScenarioSpec>,
     steps: usize,
 }
 
@@ -161,7 +163,7 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec, steps })
+        Ok(Self { spec: Arc::new(spec), steps })
     }
 
     /// The data of the scenario.
@@ -175,7 +177,7 @@ impl Scenario {
     /// # Errors
     /// [`InvalidField`] if the change makes the scenario invalid.
     pub fn edited(&self, change: impl FnOnce(&mut ScenarioSpec)) -> Result<Self, InvalidField> {
-        let mut spec = self.spec.clone();
+        let mut spec = self.spec().clone();
         change(&mut spec);
         Self::new(spec)
     }
