@@ -77,7 +77,8 @@ mod together;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
-pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub(crate) use built_in::AnyController;
+pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
