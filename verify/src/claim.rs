@@ -10,7 +10,7 @@ use crate::bounded;
 use crate::interval::Interval;
 
 /// Most steps of a scene.
-pub const MOST_STEPS: u32 = 100_000;
+pub(crate) const MOST_STEPS: u32 = 100_000;
 /// Most egos of a scene.
 pub const MOST_EGOS: usize = 16;
 

@@ -107,7 +107,7 @@ impl<R: Read + Seek> Fmu<R> {
 
     /// The member that is its library for this platform.
     #[must_use]
-    pub fn library(&self) -> String {
+    pub(crate) fn library(&self) -> String {
         let (system, extension) = match std::env::consts::OS {
             "macos" => ("darwin", "dylib"),
             "windows" => ("windows", "dll"),

@@ -17,9 +17,10 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub use counting::{Waves, expected_episodes};
+pub(crate) use counting::{Waves, expected_episodes};
 pub(super) use divided::{OtherResamples, Part, PutTogether, own_resamples};
-pub use resampled::{LEAST_RESAMPLES, NotResampled, Resamples, estimate_again, run_again};
+pub(crate) use resampled::estimate_again;
+pub use resampled::{LEAST_RESAMPLES, NotResampled, Resamples, run_again};
 
 use super::RateInterval;
 use super::rare::Estimate;

@@ -33,12 +33,12 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{LeftOut, MOST_VEHICLES, Number, Sample, Taken, least_episodes, numbers};
+pub use episodes::{LeftOut, MOST_VEHICLES, Number, Sample, Taken};
 pub use error::FitError;
 pub use family::{Family, FamilyFit, NoFit};
 pub use fitted::{Fitted, FittedNumber, FittedSize, fit};
 pub use goodness::{Goodness, Tails, shown_p};
 pub use marginal::PointFit;
-pub use resample::resampled;
+pub(crate) use resample::resampled;
 pub use sizes::Sizes;
-pub use space::{edited, refitted};
+pub(crate) use space::{edited, refitted};

@@ -5,6 +5,7 @@ use rand::RngExt;
 
 use super::dependence::{self, Column};
 use super::marginal::Families;
+use super::episodes::numbers;
 use super::*;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::recording::map::RecordingMap;

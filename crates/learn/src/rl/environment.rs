@@ -177,7 +177,7 @@ impl Episode {
 
     /// The episode's reward so far as the paper counts it: undiscounted, unscaled, 22 500 when nothing touched.
     #[must_use]
-    pub fn total_reward(&self) -> f64 {
+    pub(crate) fn total_reward(&self) -> f64 {
         self.undiscounted
     }
 

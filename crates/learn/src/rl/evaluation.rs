@@ -118,7 +118,7 @@ impl HeldOut {
 
     /// With other scenarios for the ranking, which only policies reach that survive all three of the paper's.
     #[must_use]
-    pub fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
+    pub(crate) fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
         (self.ranking, self.paper_needed) = (ranking, PAPER.len());
         self
     }

@@ -152,7 +152,7 @@ impl Family {
 
     /// Whether it is a single scenario.
     #[must_use]
-    pub fn is_point(&self) -> bool {
+    pub(crate) fn is_point(&self) -> bool {
         self.low == self.high
     }
 }

@@ -299,7 +299,7 @@ impl Mapping {
 
     /// The acceleration that an answer means, and the range that it should not leave, in m/s².
     #[must_use]
-    pub fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
+    pub(crate) fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
         let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let answer = match squash {
             Some(Squash::Tanh) => libm::tanh(answer),

@@ -40,7 +40,7 @@ impl EgoTuning {
     /// forward, so only the one ahead can mislead a filter. A vehicle that stops inside a step counts with its mean
     /// acceleration over the step; what that leaves out in position is less than a h²/8.
     #[must_use]
-    pub fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
+    pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
         let worst = |tuning: &Tuning, span_mps2: f64| {
             let [distance, rate, _] = tuning.steady_deviations();
@@ -117,7 +117,7 @@ impl EgoEstimator {
 
     /// Follows other vehicles from here on, ahead and behind where they have `changed`: as if those had been followed before, as
     /// sensors follow vehicles beside the lane too.
-    pub fn follow_others(&mut self, truth: &TrueState, changed: [bool; 2]) {
+    pub(crate) fn follow_others(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {

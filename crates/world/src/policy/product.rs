@@ -64,7 +64,7 @@ pub struct Panels {
 
 impl Panels {
     /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
-    pub fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         self.reshape(shape);
         for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
             fill(data, panel * PANEL, right, start, shape);

@@ -121,10 +121,10 @@ pub const EXPECTED: &str = "expected.verdicts";
 pub const EARLIER_EXPECTED: &str = "expected.toml";
 
 /// Most scenario files of a folder that are read at once.
-pub const MOST_FILES: usize = 10_000;
+pub(crate) const MOST_FILES: usize = 10_000;
 
 /// Most bytes of a folder that is read at once.
-pub const MOST_FOLDER_BYTES: u64 = 64 << 20;
+pub(crate) const MOST_FOLDER_BYTES: u64 = 64 << 20;
 
 /// Most bytes of a text file: ten times a minute of scripted motion at the finest step. As JSON that takes some 16 MB once parsed.
 pub const MOST_BYTES: u64 = 8 << 20;

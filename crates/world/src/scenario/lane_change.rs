@@ -43,7 +43,7 @@ impl LaneChange {
     }
 
     /// The same number, to be changed.
-    pub fn value_mut(&mut self) -> &mut f64 {
+    pub(crate) fn value_mut(&mut self) -> &mut f64 {
         match self {
             Self::At(value) | Self::Gap(value) | Self::TimeToCollision(value) => value,
         }

@@ -28,7 +28,8 @@ pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
 pub use speed_dip::{SPEED_DIP_S, speed_dip};
-pub use validate::{MOST_VEHICLE_STEPS, whole_multiple};
+pub(crate) use validate::MOST_VEHICLE_STEPS;
+pub use validate::whole_multiple;
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// The version of the scenario file format this release reads and writes.

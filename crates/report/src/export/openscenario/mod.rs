@@ -23,10 +23,8 @@ use crumple_world::sim::Trace;
 
 use crate::draw::printable;
 
-pub use polyline::{POSITION_TOLERANCE_M, SPEED_TOLERANCE_MPS};
-
 /// Most vertices of one file: 100 MB of them.
-pub const MOST_VERTICES: usize = 1_000_000;
+pub(crate) const MOST_VERTICES: usize = 1_000_000;
 
 /// A scenario for other simulators.
 #[derive(Debug, Clone, PartialEq, Eq)]

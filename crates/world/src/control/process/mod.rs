@@ -14,7 +14,7 @@ use std::time::Duration;
 use rand::Rng as _;
 use serde::Serialize;
 
-pub use self::driver::ProcessDriver;
+pub(crate) use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::fmu_host;
 pub use self::fmu::{FmuProblem, Wiring};
