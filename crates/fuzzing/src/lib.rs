@@ -93,7 +93,7 @@ impl TestCase {
 
     /// This test case with another controller under test.
     #[must_use]
-    pub fn under_test(mut self, controller: TestedController) -> Self {
+    pub(crate) fn under_test(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;
         self
     }

@@ -51,7 +51,7 @@ pub struct MapAxis {
 impl MapAxis {
     /// The middle of a cell, from 0, to a thousandth: what is run is what is shown.
     #[must_use]
-    pub fn middle(&self, cell: usize) -> f64 {
+    pub(crate) fn middle(&self, cell: usize) -> f64 {
         let middle = self.low + (self.high - self.low) * ((cell as f64 + 0.5) / self.cells as f64);
         (middle * 1e3).round() / 1e3
     }

@@ -4,8 +4,8 @@ use std::path::Path;
 use rand::RngExt;
 
 use super::dependence::{self, Column};
-use super::marginal::Families;
 use super::episodes::numbers;
+use super::marginal::Families;
 use super::*;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::recording::map::RecordingMap;

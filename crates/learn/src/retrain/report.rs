@@ -139,7 +139,7 @@ impl Report {
     ///
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
-    pub fn to_json(&self) -> Result<String, RetrainError> {
+    pub(crate) fn to_json(&self) -> Result<String, RetrainError> {
         to_json(self)
     }
 

@@ -189,7 +189,7 @@ impl Episode {
 
     /// Steps that were simulated.
     #[must_use]
-    pub fn steps_made(&self) -> usize {
+    pub(crate) fn steps_made(&self) -> usize {
         self.stepper.steps_made()
     }
 }

@@ -57,7 +57,7 @@ pub struct Evaluation {
 impl Evaluation {
     /// Orders evaluations; greater is better: first safety where it was tested (with usefulness, where that was), then paper-3, then the margin.
     #[must_use]
-    pub fn score(&self) -> [f64; 5] {
+    pub(crate) fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
         [
             self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
@@ -127,7 +127,7 @@ impl HeldOut {
     ///
     /// # Errors
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
-    pub fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
+    pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
         let of = self.environment.estimator;
         let mut paper_safe = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;

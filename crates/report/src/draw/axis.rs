@@ -71,7 +71,7 @@ impl Axis {
 
     /// The range of values.
     #[must_use]
-    pub fn domain(&self) -> (f64, f64) {
+    pub(crate) fn domain(&self) -> (f64, f64) {
         self.domain
     }
 

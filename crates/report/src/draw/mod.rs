@@ -97,7 +97,7 @@ impl Svg {
 
     /// Width and height at full size, in pixels.
     #[must_use]
-    pub fn size(&self) -> (f64, f64) {
+    pub(crate) fn size(&self) -> (f64, f64) {
         (self.width, self.height)
     }
 

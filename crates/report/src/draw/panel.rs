@@ -77,7 +77,7 @@ impl Panel {
 
     /// The data area, in pixels.
     #[must_use]
-    pub fn frame(&self) -> Frame {
+    pub(crate) fn frame(&self) -> Frame {
         self.frame
     }
 
@@ -89,7 +89,7 @@ impl Panel {
 
     /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
     #[must_use]
-    pub fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
+    pub(crate) fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
         points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.place(point)).collect()
     }
 
@@ -114,17 +114,8 @@ impl Panel {
         self.inside.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
-    /// Adds a rectangle between two opposite corners.
-    pub fn bar(&mut self, corner: (f64, f64), opposite: (f64, f64), ink: Ink) {
-        let ((x0, y0), (x1, y1)) = (self.place(corner), self.place(opposite));
-        self.inside.push(html! {
-            rect x=(Px(x0.min(x1))) y=(Px(y0.min(y1))) width=(Px((x1 - x0).abs())) height=(Px((y1 - y0).abs()))
-                fill=(ink.hex()) fill-opacity="0.8" {}
-        });
-    }
-
     /// Adds a straight line between two points, such as the whisker of an interval.
-    pub fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
+    pub(crate) fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
         let (from, to) = (self.place(from), self.place(to));
         self.inside.push(straight(from, to, stroke));
     }
@@ -165,7 +156,7 @@ impl Panel {
     }
 
     /// Adds something drawn in pixels to the data, cut off at the frame.
-    pub fn layer(&mut self, content: Markup) {
+    pub(crate) fn layer(&mut self, content: Markup) {
         self.inside.push(content);
     }
 

@@ -193,7 +193,7 @@ impl ContrastRecord {
 
     /// Which failures count, as the end of a sentence.
     #[must_use]
-    pub fn describe(&self) -> String {
+    pub(crate) fn describe(&self) -> String {
         match self {
             Self::Against { controller, .. } => format!("where `{controller}` holds"),
             Self::Metamorphic(relation) => format!("that do not occur {}", relation.describe_partner()),

@@ -234,7 +234,7 @@ impl Mapping {
 
     /// Numbers that a controller sees at each decision.
     #[must_use]
-    pub fn width(&self) -> usize {
+    pub(crate) fn width(&self) -> usize {
         self.inputs.len() * self.history
     }
 
@@ -362,7 +362,7 @@ impl Input {
 
     /// The least and the most that the controller sees of it.
     #[must_use]
-    pub fn limits(&self) -> [f64; 2] {
+    pub(crate) fn limits(&self) -> [f64; 2] {
         match self.constant {
             Some(constant) => [self.scaled(constant); 2],
             None => [self.low, self.high],

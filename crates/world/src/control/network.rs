@@ -114,7 +114,7 @@ impl NetworkController {
 
     /// Whether the inputs are said to hold the normalisation behind which it was trained.
     #[must_use]
-    pub fn normalised(&self) -> Option<bool> {
+    pub(crate) fn normalised(&self) -> Option<bool> {
         self.normalised
     }
 

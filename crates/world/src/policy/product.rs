@@ -95,7 +95,7 @@ impl Panels {
     }
 
     /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
-    pub fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+    pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let (Left::Rows(data) | Left::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
         self.multiply_by(Arch::new(), left, m, rectified, out);

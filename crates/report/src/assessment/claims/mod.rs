@@ -225,7 +225,7 @@ impl Property {
 
     /// Whether what holds of this holds of `weaker`.
     #[must_use]
-    pub fn implies(&self, weaker: &Self) -> bool {
+    pub(crate) fn implies(&self, weaker: &Self) -> bool {
         self == weaker || (*self == Self::NoContact && *weaker == Self::NoContactAhead)
     }
 

@@ -22,7 +22,7 @@ impl MapCell {
 
     /// Its letter in the evidence.
     #[must_use]
-    pub fn letter(self) -> char {
+    pub(crate) fn letter(self) -> char {
         match self {
             Self::NoContact => '.',
             Self::Avoidable => 'x',

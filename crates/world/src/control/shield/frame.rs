@@ -75,7 +75,7 @@ impl<R: Real> Frame<R> {
     /// The kernel against the vehicle ahead. What noise may take away from the own brake is not counted on.
     #[must_use]
     #[inline]
-    pub fn kernel(&self) -> Kernel<R> {
+    pub(crate) fn kernel(&self) -> Kernel<R> {
         Kernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
     }
 
