@@ -49,7 +49,7 @@ pub struct Evaluation {
     /// What a ranked policy did in everyday traffic; none if it was not ranked, or there are no such draws.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub useful: Option<UsefulDriving>,
-    /// Share of ranking draws that ended in contact, and what was at [fault](UsefulDriving::fault) in traffic, added up; none as above.
+    /// Share of ranking draws that ended in contact, and what was at fault in traffic, added up; none as above.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub both_sides: Option<f64>,
 }

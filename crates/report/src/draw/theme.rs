@@ -40,7 +40,7 @@ pub enum Ink {
     Paper,
     /// Contact and failure. Never the only carrier of that meaning: a mark or a word goes with it.
     Alert,
-    /// The `n`-th series; colours repeat after [`COLOURS`].
+    /// The `n`-th series; colours repeat after `COLOURS`.
     Series(usize),
 }
 

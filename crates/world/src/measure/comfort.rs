@@ -8,7 +8,7 @@ use crate::sim::Track;
 ///
 /// Ours: longer than the steps of a simulation, so that noise of one step does not count in full, and shorter than the
 /// few tenths of a second in which brakes build up, so that a gradual build-up tells from an abrupt one.
-pub(crate) const JERK_WINDOW_S: f64 = 0.1;
+pub const JERK_WINDOW_S: f64 = 0.1;
 
 /// Hardest deceleration in m/s², positive; 0 if the vehicle never braked, none without any acceleration held.
 ///

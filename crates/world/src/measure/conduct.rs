@@ -34,7 +34,7 @@ const UNIT: [&str; 3] = ["m/s2", "m/s²", "m/s^2"];
 
 impl Conduct {
     /// How all of them are written, for a reader.
-    pub(crate) const WRITTEN: [&str; 3] = [NO_BRAKING, "imposed braking at most 4 m/s2", NO_AMPLIFICATION];
+    pub const WRITTEN: [&str; 3] = [NO_BRAKING, "imposed braking at most 4 m/s2", NO_AMPLIFICATION];
 
     /// How far the vehicles under test are from breaking the rule, the nearest of them; negative if one breaks it. None without a trace.
     pub(super) fn robustness(&self, scenario: &Scenario, result: &Simulated) -> Option<f64> {

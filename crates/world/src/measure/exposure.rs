@@ -9,7 +9,7 @@ use super::approach::{Approach, State};
 /// The middle of the 2 to 4 s in use with these indicators. Minderhoud and Bovy leave the threshold to the study and
 /// warn that it has to be adapted where a driver support system, not a human, controls the gap; so it is a parameter of
 /// [`Approach::exposure`], and results at different thresholds do not compare.
-pub(crate) const TTC_THRESHOLD_S: f64 = 3.0;
+pub const TTC_THRESHOLD_S: f64 = 3.0;
 
 /// Exposure to short times to collision.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]

@@ -24,18 +24,18 @@ mod usefulness;
 use serde::{Deserialize, Serialize};
 
 pub use approach::{Approach, State};
-pub(crate) use comfort::JERK_WINDOW_S;
-pub use comfort::{peak_brake_mps2, peak_jerk_mps3};
+pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
 pub use conduct::{Conduct, UnknownConduct};
 pub use contact_role::ContactRole;
 pub use demand::{Imposed, drac_mps2, required_brake_mps2};
-pub use exposure::Exposure;
-pub(crate) use exposure::TTC_THRESHOLD_S;
+pub use exposure::{Exposure, TTC_THRESHOLD_S};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{Braking, FirstContact, RunVerdict, Specification, SpecificationError};
 pub use usefulness::{
-    Following, NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, SpeedAmplification, Usefulness, caused_brake_mps2,
+    CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, Following, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_DEVIATION_MPS,
+    LEAST_SPEED_MPS, MOVING_MPS, NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, SETTLED_MPS, SpeedAmplification,
+    Usefulness, caused_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};

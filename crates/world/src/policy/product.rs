@@ -71,7 +71,7 @@ impl Panels {
         }
     }
 
-    /// [`Panels::pack`] on all threads of the pool it is called in.
+    /// `pack` on all threads of the pool it is called in.
     pub fn pack_together(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         if shape[0] * shape[1] < WIDELY_PACKED {
             return self.pack(right, start, shape);
@@ -105,7 +105,7 @@ impl Panels {
         path.dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
     }
 
-    /// [`Panels::multiply`] on all threads of the pool it is called in: for products that do not run beside others.
+    /// `multiply` on all threads of the pool it is called in: for products that do not run beside others.
     pub fn multiply_together(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let worth = (m * self.rows * self.columns / SHARED_OUT).max(1);
         let parts = rayon::current_num_threads().min(worth);

@@ -93,8 +93,8 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 /// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
 ///
 /// # Errors
-/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than [`MOST_FILES`] of them
-/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
+/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than `MOST_FILES` of them
+/// or `MOST_FOLDER_BYTES`. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);

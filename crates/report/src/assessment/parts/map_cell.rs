@@ -43,7 +43,7 @@ impl MapCell {
     }
 }
 
-/// A row of cells from left to right; in the evidence a text of one letter a cell, see [`MapCell::letter`].
+/// A row of cells from left to right; in the evidence a text of one letter a cell, see `MapCell::letter`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(try_from = "String", into = "String")]

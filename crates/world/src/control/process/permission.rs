@@ -12,7 +12,7 @@ pub enum NamedBy {
     File,
 }
 
-/// Permission to start the program of one controller. [`NamedBy::permission`] alone hands it out, and
+/// Permission to start the program of one controller. `NamedBy::permission` alone hands it out, and
 /// [`ProcessController::new`](super::ProcessController::new) takes it.
 #[derive(Debug, Clone, Copy)]
 pub struct StartPermission(());

@@ -67,7 +67,7 @@ pub struct Frame<R = f64> {
     /// The vehicle behind, if there is one.
     pub behind: Option<Behind>,
     /// Demanded on top of the kernel's gap, in metres: it pays for rounding, and keeps the gap from being exactly zero. Half
-    /// of it is for what comes after an action was let through, see [`Travel::margin_m`](super::Travel::margin_m).
+    /// of it is for what comes after an action was let through, see `Travel::margin_m`.
     pub margin_m: R,
 }
 

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use crate::sim::Trace;
 
 /// A line drives at one speed if no vehicle is further off that of the leader than this, in m/s: 0.5.
-pub(crate) const SETTLED_MPS: f64 = 0.5;
+pub const SETTLED_MPS: f64 = 0.5;
 
 /// A smaller deviation is noise, in m/s: 0.1.
-pub(crate) const LEAST_DEVIATION_MPS: f64 = 0.1;
+pub const LEAST_DEVIATION_MPS: f64 = 0.1;
 
 /// How much of the leader's change of speed arrives further back: ratios of the largest deviations from the speed at which
 /// the line drove before.

@@ -9,9 +9,12 @@ mod needless;
 
 use serde::{Deserialize, Serialize};
 
-pub use amplification::SpeedAmplification;
+pub use amplification::{LEAST_DEVIATION_MPS, SETTLED_MPS, SpeedAmplification};
 use drive::{Step, steps_of};
-pub use needless::{NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, caused_brake_mps2};
+pub use needless::{
+    CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_SPEED_MPS,
+    NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, caused_brake_mps2,
+};
 
 use super::comfort::JERK_WINDOW_S;
 use super::demand::Imposed;
@@ -19,7 +22,7 @@ use super::proximity::time_gap_s;
 use crate::sim::{Impact, Trace};
 
 /// A vehicle faster than this moves, in m/s: 1. Below it a time gap says nothing, and to fall behind is no harm.
-pub(crate) const MOVING_MPS: f64 = 1.0;
+pub const MOVING_MPS: f64 = 1.0;
 
 /// How a vehicle got on, before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -20,29 +20,29 @@ pub const NEEDLESS_MARGIN_MPS2: f64 = 2.0;
 /// brakes.
 ///
 /// Ours: a change of speed of a few tenths of a metre a second is noise, to passengers and to the vehicle behind.
-pub(crate) const LEAST_BRAKING_S: f64 = 0.2;
+pub const LEAST_BRAKING_S: f64 = 0.2;
 
 /// How long a cause counts after it has gone, in seconds: 0.5.
 ///
 /// Ours: what is seen, decided and built up in the brakes late is also given up late; half a second is the longest reaction
 /// of any vehicle in the built-in spaces.
-pub(crate) const CAUSE_LASTS_S: f64 = 0.5;
+pub const CAUSE_LASTS_S: f64 = 0.5;
 
 /// A vehicle at a larger time gap does not follow the one ahead, in seconds: 3, the headway below which the Highway
 /// Capacity Manual 2000 counts vehicles as following.
-pub(crate) const FOLLOWS_WITHIN_S: f64 = 3.0;
+pub const FOLLOWS_WITHIN_S: f64 = 3.0;
 
 /// Braking below this speed does not count, in m/s: 3.
 ///
 /// Ours: who stops for good reason holds the brake to the end, and the last 3 m/s of a full stop take 0.4 s, in which the
 /// reference driver would have rolled on to a smaller gap.
-pub(crate) const LEAST_SPEED_MPS: f64 = 3.0;
+pub const LEAST_SPEED_MPS: f64 = 3.0;
 
 /// Braking harder than this is hard, in m/s²: 4, which drivers do not reach in everyday traffic.
-pub(crate) const HARD_BRAKE_MPS2: f64 = 4.0;
+pub const HARD_BRAKE_MPS2: f64 = 4.0;
 
 /// Braking that has a cause up to this asks for no hard braking, in m/s²: 3.
-pub(crate) const EASY_BRAKE_MPS2: f64 = 3.0;
+pub const EASY_BRAKE_MPS2: f64 = 3.0;
 
 /// Braking without cause: what a vehicle did to its passengers and to those behind that nothing ahead called for.
 ///
