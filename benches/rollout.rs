@@ -31,7 +31,7 @@ const CASES: [(&str, EstimatorKind); 6] = [
     ("idm", EstimatorKind::Kalman),
 ];
 
-fn runs<'s>((controller, estimator): (&str, EstimatorKind), scenarios: &'s [Scenario]) -> Vec<Run<'s>> {
+fn runs((controller, estimator): (&str, EstimatorKind), scenarios: &[Scenario]) -> Vec<Run> {
     rollouts::runs(scenarios, rollouts::built_in(controller), estimator)
 }
 

@@ -18,18 +18,18 @@ pub fn built_in(controller: &str) -> ControllerKind {
     ControllerSpec::named(controller).expect("built in").into()
 }
 
-pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estimator: EstimatorKind) -> Vec<Run<'_>> {
+pub fn runs(scenarios: &[Scenario], controller: impl Into<ControllerKind>, estimator: EstimatorKind) -> Vec<Run> {
     let options = RunOptions::new(controller).with_estimator(estimator);
     scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).expect("valid")).collect()
 }
 
 /// Steps that a run made; one that ends at a contact counts the steps up to it.
-pub fn steps(run: &Run<'_>, result: &Simulated) -> usize {
+pub fn steps(run: &Run, result: &Simulated) -> usize {
     let step_s = run.scenario().spec().step_s;
     result.outcome.contact().map_or(run.scenario().steps(), |contact| (contact.time_s / step_s) as usize + 1)
 }
 
-pub fn vehicle_steps(runs: &[Run<'_>]) -> usize {
+pub fn vehicle_steps(runs: &[Run]) -> usize {
     let made = |index: usize, result: Simulated| steps(&runs[index], &result) * runs[index].scenario().vehicles().len();
     simulate_batch(runs, RecordingLevel::Summary, made).into_iter().sum()
 }

@@ -11,7 +11,6 @@ use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use self_cell::self_cell;
 
 use crate::errors::{self, Class};
 use crate::scenario::Space;
@@ -26,27 +25,6 @@ const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be 
 
 /// Most episodes at once.
 const MOST_EPISODES: usize = 1 << 20;
-
-type Prepared<'s> = Run<'s>;
-type UnderWay<'r> = Episode<'r, 'r>;
-
-self_cell!(
-    /// A run and the scenario that it is of.
-    struct OwnedRun {
-        owner: Scenario,
-        #[covariant]
-        dependent: Prepared,
-    }
-);
-
-self_cell!(
-    /// An episode and the run that it is on.
-    struct OwnedEpisode {
-        owner: OwnedRun,
-        #[not_covariant]
-        dependent: UnderWay,
-    }
-);
 
 /// What becomes of an episode that is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,17 +45,17 @@ struct Task {
 }
 
 impl Task {
-    fn episode(&self, seed: u64, index: u64) -> Result<OwnedEpisode, String> {
+    fn episode(&self, seed: u64, index: u64) -> Result<(Scenario, Episode), String> {
         let scenario = self.source.draw(seed, index).map_err(|error| error.to_string())?;
         if let Some(why) = unsuited(&scenario) {
             return Err(format!("{}: {why}", scenario.spec().name));
         }
-        // Whoever is under test is driven by the actions; the controller is never asked.
+        // The actions drive the vehicle under test: its controller is never asked.
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
         let options = RunOptions::new(idle).with_estimator(self.terms.config().estimator);
-        let run = OwnedRun::try_new(scenario, |scenario| Run::new(scenario, options)).map_err(|e| e.to_string())?;
+        let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
         let terms = self.terms.of_episode(self.source.as_ref(), seed, index);
-        Ok(OwnedEpisode::new(run, |run| Episode::new(run.borrow_dependent(), &terms)))
+        Ok((scenario, Episode::new(&run, &terms)))
     }
 }
 
@@ -85,7 +63,7 @@ impl Task {
 struct Lane {
     seed: u64,
     next_index: u64,
-    episode: Option<OwnedEpisode>,
+    episode: Option<(Scenario, Episode)>,
     is_over: bool,
 }
 
@@ -107,10 +85,10 @@ type Row<'a> = (
 
 impl Lane {
     fn begin(&mut self, task: &Task, state: &mut [f32]) -> Result<(), String> {
-        let mut episode = task.episode(self.seed, self.next_index)?;
+        let (scenario, mut episode) = task.episode(self.seed, self.next_index)?;
         self.next_index += 1;
-        state.copy_from_slice(&episode.with_dependent_mut(|_, episode| episode.state()));
-        (self.episode, self.is_over) = (Some(episode), false);
+        state.copy_from_slice(&episode.state());
+        (self.episode, self.is_over) = (Some((scenario, episode)), false);
         Ok(())
     }
 
@@ -131,10 +109,10 @@ impl Lane {
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return self.begin(task, state);
         }
-        let Some(episode) = self.episode.as_mut().filter(|_| !self.is_over) else {
+        let Some((_, episode)) = self.episode.as_mut().filter(|_| !self.is_over) else {
             return Err(MUST_BE_RESET.to_owned());
         };
-        let led_to = episode.with_dependent_mut(|_, episode| episode.decide(action.clamp(-1.0, 1.0)));
+        let led_to = episode.decide(action.clamp(-1.0, 1.0));
         self.is_over = led_to.ending != Ending::None;
         *reward = led_to.reward;
         *terminated = self.is_over && !led_to.continues;
@@ -303,9 +281,8 @@ impl Episodes {
     /// Where the vehicles of a lane are, front to rear: front bumpers and lengths in metres. Nothing before its first reset.
     fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
         let lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
-        let episode = lanes.get(lane)?.episode.as_ref()?;
-        let position_m = episode.with_dependent(|_, episode| episode.motion().iter().map(|at| at.position_m).collect());
-        let scenario = episode.borrow_owner().borrow_owner();
+        let (scenario, episode) = lanes.get(lane)?.episode.as_ref()?;
+        let position_m = episode.motion().iter().map(|at| at.position_m).collect();
         Some((position_m, scenario.vehicles().iter().map(|vehicle| vehicle.length_m()).collect()))
     }
 

@@ -1,7 +1,6 @@
 //! Scenarios and spaces as Python objects.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use crumple_world::scenario::space::{self, find_space};
 use crumple_world::scenario::{self as world, built_in, built_in_names, file};
@@ -13,13 +12,7 @@ use crate::values::written;
 /// A valid scenario.
 #[pyclass(frozen, eq, module = "crumple")]
 #[derive(PartialEq)]
-pub(crate) struct Scenario(pub(crate) Arc<world::Scenario>);
-
-impl Scenario {
-    pub(crate) fn new(scenario: world::Scenario) -> Self {
-        Self(Arc::new(scenario))
-    }
-}
+pub(crate) struct Scenario(pub(crate) world::Scenario);
 
 #[pymethods]
 impl Scenario {
@@ -27,7 +20,7 @@ impl Scenario {
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
         if let Some(scenario) = built_in(name) {
-            return Ok(Self::new(scenario));
+            return Ok(Self(scenario));
         }
         if Path::new(name).extension().is_none() && !Path::new(name).exists() {
             let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
@@ -40,21 +33,21 @@ impl Scenario {
     /// The scenario in a file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        file::load(&path).map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        file::load(&path).map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
     }
 
     /// The scenario that a text says.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_toml(text, Path::new("<toml>"));
-        read.map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        read.map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
     }
 
     /// The same from JSON.
     #[staticmethod]
     fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_json(text, Path::new("<dict>"));
-        read.map(Self::new).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        read.map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
     }
 
     #[getter]
@@ -78,7 +71,7 @@ impl Scenario {
     }
 
     fn with_seed(&self, py: Python<'_>, seed: u64) -> PyResult<Self> {
-        self.0.edited(|spec| spec.seed = seed).map(Self::new).map_err(|error| errors::of_field(py, &error))
+        self.0.edited(|spec| spec.seed = seed).map(Self).map_err(|error| errors::of_field(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -129,17 +122,17 @@ impl Space {
 
     /// The scenario at a point of the unit cube.
     fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<Scenario> {
-        self.0.at(&point).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+        self.0.at(&point).map(Scenario).map_err(|error| errors::of_field(py, &error))
     }
 
     /// The scenario in which every parameter is nominal.
     fn nominal(&self, py: Python<'_>) -> PyResult<Scenario> {
-        self.0.scenario(&self.0.nominal()).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+        self.0.scenario(&self.0.nominal()).map(Scenario).map_err(|error| errors::of_field(py, &error))
     }
 
     /// The draw of that number by the distribution.
     fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<Scenario> {
-        self.0.draw(seed, index).map(Scenario::new).map_err(|error| errors::of_field(py, &error))
+        self.0.draw(seed, index).map(Scenario).map_err(|error| errors::of_field(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {

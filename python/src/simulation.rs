@@ -103,7 +103,7 @@ impl Trace {
 /// How a run ended.
 #[pyclass(frozen, module = "crumple")]
 pub(crate) struct Simulation {
-    scenario: Arc<crumple_world::scenario::Scenario>,
+    scenario: crumple_world::scenario::Scenario,
     controller: Arc<str>,
     options: RunOptions,
     simulated: Simulated,
@@ -115,7 +115,7 @@ pub(crate) struct Simulation {
 impl Simulation {
     #[getter]
     fn scenario(&self) -> Scenario {
-        Scenario(Arc::clone(&self.scenario))
+        Scenario(self.scenario.clone())
     }
 
     #[getter]
@@ -220,8 +220,8 @@ pub(crate) fn simulate(
         .with_estimator(choice("estimator", estimator, &ESTIMATORS)?)
         .with_after_contact(choice("after_contact", after_contact, &known)?);
     options.dt_s = dt_s;
-    let scenarios: Vec<_> = scenarios.iter().map(|scenario| Arc::clone(&scenario.0)).collect();
-    let runs: Vec<Run<'_>> = scenarios
+    let scenarios: Vec<_> = scenarios.iter().map(|scenario| scenario.0.clone()).collect();
+    let runs: Vec<Run> = scenarios
         .iter()
         .map(|scenario| {
             Run::new(scenario, options.clone())

@@ -38,7 +38,7 @@ pub(crate) fn worst_case<'py>(
     let controller = controller::named(controller, &stop)?;
     let estimator = choice("estimator", estimator, &ESTIMATORS)?;
     let aim = choice("aim", aim, &Aim::ALL.map(|aim| (aim.name(), aim)))?;
-    let scenario = std::sync::Arc::clone(&scenario.0);
+    let scenario = scenario.0.clone();
     let usual = Envelope::of(&scenario);
     let envelope = Envelope {
         max_brake_mps2: max_brake_mps2.unwrap_or(usual.max_brake_mps2),
@@ -54,5 +54,5 @@ pub(crate) fn worst_case<'py>(
     let name = &scenario.spec().name;
     let result = result.map_err(|error| errors::raised(py, Class::Run, &format!("{name}: {error}")))?;
     let report = written(py, &AttackReport::new(name, &controller, estimator, aim, &result))?;
-    Ok((result.found.map(|attack| Scenario::new(attack.scenario)), report))
+    Ok((result.found.map(|attack| Scenario(attack.scenario)), report))
 }

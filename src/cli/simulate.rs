@@ -183,7 +183,7 @@ impl Simulate {
     }
 
     /// Everything to print and write of one run, so that its trace need not be kept.
-    fn render(&self, run: &Run<'_>, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
+    fn render(&self, run: &Run, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
         let judged = &report.braking_without_cause;
@@ -253,7 +253,7 @@ impl Simulate {
         }
     }
 
-    fn report<'a>(&'a self, run: &Run<'a>, result: &'a Simulated) -> Result<Report<'a>, Failure> {
+    fn report<'a>(&'a self, run: &'a Run, result: &'a Simulated) -> Result<Report<'a>, Failure> {
         let scenario = run.scenario();
         let spec = scenario.spec();
         Ok(Report {
@@ -277,7 +277,7 @@ impl Simulate {
 
     /// What each specification says; those that need the same kind of run share one.
     fn judge(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
-        let mut runs: Vec<(Run<'_>, RecordingLevel, Simulated)> = Vec::new();
+        let mut runs: Vec<(Run, RecordingLevel, Simulated)> = Vec::new();
         let judge = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
             let (keep, after_contact) = (specification.keep(), specification.after_contact());
@@ -298,7 +298,7 @@ impl Simulate {
         self.spec.iter().map(judge).collect()
     }
 
-    fn check_expectation(&self, runs: &[Run<'_>], results: &[Rendered]) -> Result<(), Failure> {
+    fn check_expectation(&self, runs: &[Run], results: &[Rendered]) -> Result<(), Failure> {
         let Some(expected) = self.expect else { return Ok(()) };
         let otherwise: Vec<_> = runs
             .iter()

@@ -1,7 +1,7 @@
 //! What every built-in controller promises, whatever it is shown.
 
 use crumple_world::control::AebSettings;
-use crumple_world::control::{AnyController, Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
+use crumple_world::control::{Baseline, BuiltIn, Controller, ControllerSpec, Ego, Role};
 use crumple_world::measure::ttc_s;
 use crumple_world::observation::{Neighbour, Observation};
 use proptest::prelude::*;
@@ -37,7 +37,7 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..20),
     ) {
-        let mut controller = AnyController::built_in(&spec, &ego, 0);
+        let mut controller = spec.start(&ego, 0);
         for seen in &seen {
             let command = controller.decide(seen).unwrap();
             prop_assert!(command.is_finite(), "{} commands {command} for {seen:?}", spec.name());
@@ -67,7 +67,7 @@ proptest! {
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {
-        let [mut looking, mut blind] = [0; 2].map(|_| AnyController::built_in(&spec, &ego, 0));
+        let [mut looking, mut blind] = [0; 2].map(|_| spec.start(&ego, 0));
         for seen in seen {
             prop_assert_eq!(looking.decide(&seen), blind.decide(&Observation { behind: None, ..seen }));
         }

@@ -37,12 +37,12 @@ fn batch() -> impl Strategy<Value = Vec<Case>> {
         .prop_shuffle()
 }
 
-fn runs<'s>(cases: impl IntoIterator<Item = &'s Case>) -> Vec<Run<'s>> {
+fn runs<'s>(cases: impl IntoIterator<Item = &'s Case>) -> Vec<Run> {
     let run = |(scenario, setup): &'s Case| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
     cases.into_iter().map(run).collect()
 }
 
-fn batch_bits(runs: &[Run<'_>], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64>> {
+fn batch_bits(runs: &[Run], keep: RecordingLevel, threads: usize) -> Vec<Vec<u64>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     pool.install(|| simulate_batch(runs, keep, |_, result| bits(&result)))
 }

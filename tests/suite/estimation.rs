@@ -6,6 +6,8 @@
 
 mod world;
 
+use std::sync::Arc;
+
 use crumple_fuzzing::oracle::estimates_are_sane;
 use crumple_world::control::ControllerSpec;
 use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Inertia, Sensor, TrueState};
@@ -208,7 +210,7 @@ fn without_noise_the_own_motion_is_exact_through_every_jump() {
 fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_says() {
     const RUNS: u64 = 2000;
     let sensors = Sensors::default();
-    let tuning = EgoTuning::new(0.01, &sensors);
+    let tuning = Arc::new(EgoTuning::new(0.01, &sensors));
     // The vehicle ahead is slower and the one behind is faster: both gaps shrink.
     let at = |k: i32| {
         let t = 0.01 * f64::from(k);
@@ -227,7 +229,7 @@ fn what_the_ego_sees_in_steady_driving_is_unbiased_and_as_good_as_the_tuning_say
     let errors: Vec<[f64; 8]> = (0..RUNS)
         .map(|seed| {
             let mut ego = EgoEstimator::new(seed, 1, &sensors, &tuning, &at(0));
-            let seen = (0..300).map(|k| ego.observe(&tuning, &at(k))).last().expect("seen");
+            let seen = (0..300).map(|k| ego.observe(&at(k))).last().expect("seen");
             let (seen, truth) = (numbers(&seen), numbers(&at(299).observation));
             std::array::from_fn(|number| seen[number] - truth[number])
         })

@@ -74,7 +74,7 @@ enum Wrong {
 }
 
 impl System for Wrong {
-    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
         let scenario = run.scenario();
         let late = scenario.edited(|spec| {
             for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.enters == Some(LaneChange::At(0.0))) {

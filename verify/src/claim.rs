@@ -10,7 +10,7 @@ use crate::bounded;
 use crate::interval::Interval;
 
 /// Most steps of a scene.
-pub const MOST_STEPS: u32 = 100_000;
+pub(crate) const MOST_STEPS: u32 = 100_000;
 /// Most egos of a scene.
 pub const MOST_EGOS: usize = 16;
 
@@ -118,7 +118,7 @@ impl Scene {
 
     /// N h, to the nanosecond: the claim is about no later time.
     #[must_use]
-    pub fn horizon_s(&self) -> f64 {
+    pub(crate) fn horizon_s(&self) -> f64 {
         seconds(self.step_s, self.steps)
     }
 

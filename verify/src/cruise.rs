@@ -54,7 +54,7 @@ pub const STARTS: [[f64; 2]; 4] = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [3
 pub const FARTHEST: f64 = 1e6;
 
 /// Most cells.
-pub const MOST_CELLS: u32 = 10_000;
+pub(crate) const MOST_CELLS: u32 = 10_000;
 /// How far the speed may be from where it was within a period, in m/s: what is tried as V.
 const TRIED_MPS: f64 = 2.0;
 /// Operations of a period but for the network.

@@ -23,7 +23,7 @@ impl Interval {
     /// Exactly zero.
     pub const ZERO: Self = Self { low: 0.0, high: 0.0 };
     /// Exactly one.
-    pub const ONE: Self = Self { low: 1.0, high: 1.0 };
+    pub(crate) const ONE: Self = Self { low: 1.0, high: 1.0 };
     /// The whole line.
     pub(crate) const LINE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
 
@@ -41,13 +41,13 @@ impl Interval {
 
     /// The numbers from -`radius` to `radius`; the whole line unless `radius` is a finite number that is not negative.
     #[must_use]
-    pub fn around_zero(radius: f64) -> Self {
+    pub(crate) fn around_zero(radius: f64) -> Self {
         Self::new(-radius, radius).unwrap_or(Self::LINE)
     }
 
     /// A number near the middle, and a bound of every member's distance from it.
     #[must_use]
-    pub fn middle_and_radius(self) -> (f64, f64) {
+    pub(crate) fn middle_and_radius(self) -> (f64, f64) {
         if self.low == self.high {
             return (self.low, 0.0);
         }

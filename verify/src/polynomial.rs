@@ -14,7 +14,7 @@ pub struct Polynomial(BTreeMap<[u8; 3], BigRational>);
 impl Polynomial {
     /// A number.
     #[must_use]
-    pub fn constant(value: &BigRational) -> Self {
+    pub(crate) fn constant(value: &BigRational) -> Self {
         Self::term([0; 3], value.clone())
     }
 

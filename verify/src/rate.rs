@@ -58,7 +58,7 @@ pub struct Registration {
 }
 
 /// What a certificate holds of a block of runs: what was counted in it, and a hash that only who has made the runs can know.
-pub type Block<T> = (T, String);
+pub(crate) type Block<T> = (T, String);
 
 impl Registration {
     /// SHA-256 of the registration as compact JSON, fields in the order of this type, in hexadecimal.

@@ -109,7 +109,7 @@ impl CountRecord {
 
     /// What was fixed before the first run.
     #[must_use]
-    pub fn registration(&self) -> &Registration {
+    pub(crate) fn registration(&self) -> &Registration {
         &self.registration
     }
 
@@ -125,13 +125,13 @@ impl CountRecord {
 
     /// How many blocks there are.
     #[must_use]
-    pub fn blocks(&self) -> u64 {
+    pub(crate) fn blocks(&self) -> u64 {
         self.registration.runs.div_ceil(self.block_runs())
     }
 
     /// The runs of blocks that follow each other.
     #[must_use]
-    pub fn runs_of(&self, blocks: Range<u64>) -> Range<u64> {
+    pub(crate) fn runs_of(&self, blocks: Range<u64>) -> Range<u64> {
         let at = |block: u64| block.saturating_mul(self.block_runs()).min(self.registration.runs);
         at(blocks.start)..at(blocks.end)
     }

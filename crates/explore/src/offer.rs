@@ -82,7 +82,7 @@ pub enum OfferError {
 
 impl Offer {
     /// Most controllers that run side by side.
-    pub const MOST_CONTROLLERS: usize = 4;
+    pub(crate) const MOST_CONTROLLERS: usize = 4;
 
     /// The same with everything built in, if it can be offered.
     pub(crate) fn completed(self) -> Result<Offered, OfferError> {

@@ -67,7 +67,7 @@ pub struct Conversion {
 impl Conversion {
     /// Returns whether values in this unit are SI values.
     #[must_use]
-    pub fn is_identity(&self) -> bool {
+    pub(crate) fn is_identity(&self) -> bool {
         self.factor == 1.0 && self.offset == 0.0
     }
 

@@ -34,7 +34,7 @@ pub const FEATURES: usize =
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]
-pub fn features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
+pub(crate) fn features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
     let mut found = Vec::new();
     let mut start = 0;
     let mut group = |size: usize, value: Option<usize>| {
@@ -94,7 +94,7 @@ fn full_brakes(track: &Track, limit_mps2: f64) -> usize {
 /// A name for the kind of collision a run ended in, the same for collisions that tell a reader the same: who is under
 /// test, who hits whom in how long a line, how hard. None if no vehicle under test touched anything.
 #[must_use]
-pub fn failure(test_case: &TestCase, result: &Simulated) -> Option<String> {
+pub(crate) fn failure(test_case: &TestCase, result: &Simulated) -> Option<String> {
     let contact = result.outcome.contact()?;
     let vehicles = test_case.scenario.vehicles();
     let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());

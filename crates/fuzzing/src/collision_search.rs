@@ -86,7 +86,7 @@ impl CollisionSearch {
         test_case
     }
 
-    /// Runs an input, keeps its collision and returns the [`behaviour::features`] of the run: none for a scenario that the
+    /// Runs an input, keeps its collision and returns the features of the run: none for a scenario that the
     /// controller refuses, as a shield does that cannot vouch for a vehicle.
     ///
     /// A new search has seen nothing, and asks all oracles about its first input.

@@ -10,10 +10,10 @@ use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 const CHANGE_BYTES: usize = 4;
 
 /// Bytes that changes of lanes are read from.
-pub const LANE_BYTES: usize = MOST_VEHICLES * 2 * CHANGE_BYTES;
+pub(crate) const LANE_BYTES: usize = MOST_VEHICLES * 2 * CHANGE_BYTES;
 
 /// The scenario with changes of lanes, as far as they are valid: only scripted vehicles change lanes. No bytes leave it as it is.
-pub fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
+pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
     let mut choices = Choices::block(from, LANE_BYTES);
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];

@@ -28,12 +28,13 @@ use std::fmt;
 
 use arbitrary::{Arbitrary, Unstructured};
 
-pub use collection::Collection;
+pub(crate) use collection::Collection;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
 pub use driver::{CONTROLLERS, controller, profile, script};
 pub use formula::any_formula;
-pub use lanes::{LANE_BYTES, with_lane_changes};
-pub use oracle::{Checked, LANE_ORACLES, ORACLES, ORACLES_OF_A_RUN, Oracle, Question};
+pub(crate) use lanes::{LANE_BYTES, with_lane_changes};
+pub(crate) use oracle::ORACLES_OF_A_RUN;
+pub use oracle::{Checked, LANE_ORACLES, ORACLES, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
 pub use setup::{FoundController, SETUP_BYTES, Setup, TestedController};
 pub use shape::{Kind, Shape};
@@ -92,7 +93,7 @@ impl TestCase {
 
     /// This test case with another controller under test.
     #[must_use]
-    pub fn under_test(mut self, controller: TestedController) -> Self {
+    pub(crate) fn under_test(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;
         self
     }
@@ -109,7 +110,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub fn examine_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
+    pub(crate) fn examine_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
         self.ask_all(&LANE_ORACLES, system)
     }
 
@@ -117,7 +118,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub fn examine_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
+    pub(crate) fn examine_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
         self.ask_all(&ORACLES[..ORACLES_OF_A_RUN], system)
     }
 

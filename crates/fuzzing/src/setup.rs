@@ -154,7 +154,7 @@ impl TestedController {
 
     /// Returns whether the controller runs in a process of its own, behind any number of shields.
     #[must_use]
-    pub fn is_process(&self) -> bool {
+    pub(crate) fn is_process(&self) -> bool {
         let Self::Named(FoundController(found)) = self else { return false };
         matches!(found.kind.unshielded(), ControllerKind::Process(_))
     }

@@ -17,17 +17,17 @@ use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, 
 /// oracle must notice.
 pub trait System {
     /// One run, step by step.
-    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
         sim::simulate(run, keep)
     }
 
     /// Many runs in lockstep.
-    fn simulate_batch(&self, runs: &[Run<'_>], keep: RecordingLevel) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<Simulated> {
         sim::simulate_batch(runs, keep, |_, simulated| simulated)
     }
 
     /// Shows what every vehicle sees at every step, until `each` has seen enough and says false.
-    fn observe(&self, run: &Run<'_>, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
+    fn observe(&self, run: &Run, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
         let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use tempfile::TempPath;
-pub use unfinished::{is_unfinished, remove_unfinished};
-pub use unfinished::{number_of, numbered, remove_all_unfinished};
+pub(crate) use unfinished::is_unfinished;
+pub use unfinished::remove_unfinished;
+pub(crate) use unfinished::{number_of, numbered, remove_all_unfinished};
 
 /// A file or folder that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -182,7 +183,7 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 /// Makes the names in a folder outlast a loss of power. Where folders cannot be opened as files, nothing can be done.
-pub fn sync_folder(folder: &Path) -> Result<(), DiskError> {
+pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     #[cfg(unix)]
     fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(DiskError::at(folder))?;
     Ok(())

@@ -171,7 +171,7 @@ impl Parameter {
 
     /// The units that it may be stated in.
     #[must_use]
-    pub fn units(self) -> &'static [Unit] {
+    pub(crate) fn units(self) -> &'static [Unit] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => &[Unit::Kmph, Unit::Mps],
             Self::ClosingTime | Self::TimeGap | Self::Ramp => &[Unit::Second],
@@ -182,7 +182,7 @@ impl Parameter {
 
     /// The least and the largest value, in SI units.
     #[must_use]
-    pub fn range(self) -> [f64; 2] {
+    pub(crate) fn range(self) -> [f64; 2] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => [0.5, 100.0],
             Self::ClosingTime | Self::TimeGap => [0.1, 60.0],

@@ -35,7 +35,7 @@ pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
 pub use within::Within;
 
 /// The version of the suite file format this release reads.
-pub const SUITE_VERSION: u32 = 1;
+pub(crate) const SUITE_VERSION: u32 = 1;
 
 /// A valid suite.
 #[derive(Debug, Clone, PartialEq)]

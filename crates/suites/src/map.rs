@@ -170,7 +170,7 @@ impl MapSpec {
 impl CrashCell {
     /// Whether it ends in contact.
     #[must_use]
-    pub fn is_contact(&self) -> bool {
+    pub(crate) fn is_contact(&self) -> bool {
         matches!(self.verdict, TestVerdict::Failed { .. })
     }
 

@@ -51,7 +51,7 @@ pub struct MapAxis {
 impl MapAxis {
     /// The middle of a cell, from 0, to a thousandth: what is run is what is shown.
     #[must_use]
-    pub fn middle(&self, cell: usize) -> f64 {
+    pub(crate) fn middle(&self, cell: usize) -> f64 {
         let middle = self.low + (self.high - self.low) * ((cell as f64 + 0.5) / self.cells as f64);
         (middle * 1e3).round() / 1e3
     }
@@ -74,9 +74,9 @@ pub struct Boundary {
 
 impl Situation {
     /// The time gaps that a map may have, in seconds.
-    pub const TIME_GAP_S: [f64; 2] = [0.2, 10.0];
+    pub(crate) const TIME_GAP_S: [f64; 2] = [0.2, 10.0];
     /// The speeds of the vehicle under test that a map may have, in km/h.
-    pub const OWN_SPEED_KMPH: [f64; 2] = [30.0, 250.0];
+    pub(crate) const OWN_SPEED_KMPH: [f64; 2] = [30.0, 250.0];
 
     /// Its name.
     #[must_use]

@@ -112,7 +112,7 @@ pub struct Push {
 impl Lead {
     /// The figures that it needs: one of each entry.
     #[must_use]
-    pub fn parameters(self) -> &'static [&'static [Parameter]] {
+    pub(crate) fn parameters(self) -> &'static [&'static [Parameter]] {
         use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
         match self {
             Self::Stopped => &[&[OwnSpeed], &[ClosingTime]],
@@ -124,7 +124,7 @@ impl Lead {
 
     /// The place of the vehicle under test in the line, from the front.
     #[must_use]
-    pub fn under_test(self) -> usize {
+    pub(crate) fn under_test(self) -> usize {
         match self {
             Self::Stopped | Self::Slower | Self::Decelerating => 1,
             Self::CutIn | Self::CutOut => 2,
@@ -152,7 +152,7 @@ impl Lead {
 impl TestSpec {
     /// Whether all that the document asks for is as it states it; else some figure was chosen.
     #[must_use]
-    pub fn is_as_stated(&self) -> bool {
+    pub(crate) fn is_as_stated(&self) -> bool {
         let figures = self.figures.stated().map(|(_, figure)| figure.origin);
         figures.chain(self.impact_at_most.iter().map(|limit| limit.origin)).all(|origin| origin != Origin::Chosen)
     }
@@ -188,7 +188,7 @@ impl TestSpec {
 
     /// A point in words, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
-    pub fn in_words(&self, point: &[f64]) -> String {
+    pub(crate) fn in_words(&self, point: &[f64]) -> String {
         self.words(point, None)
     }
 

@@ -85,7 +85,7 @@ pub(super) enum Fault {
 }
 
 impl System for Wrong {
-    fn simulate(&self, run: &Run<'_>, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
         match self.0 {
             Fault::GapSign => {
                 // A vehicle without length is touched 2 m or more too late.
@@ -111,7 +111,7 @@ impl System for Wrong {
         }
     }
 
-    fn simulate_batch(&self, runs: &[Run<'_>], keep: RecordingLevel) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<Simulated> {
         let mut results = sim::simulate_batch(runs, keep, |_, simulated| simulated);
         match self.0 {
             Fault::BatchOffByOne => results.rotate_left(1),
@@ -132,7 +132,7 @@ impl System for Wrong {
         results
     }
 
-    fn observe(&self, run: &Run<'_>, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
+    fn observe(&self, run: &Run, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
         Crumple.observe(run, &mut |sight| {
             let Observation { speed_mps: own_mps, .. } = sight.seen;
             let mut seen = sight.seen;
@@ -196,7 +196,7 @@ impl System for Wrong {
 }
 
 /// A result with something wrong in it.
-fn damaged(fault: Fault, mut result: Simulated, run: &Run<'_>) -> Simulated {
+fn damaged(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
     let Some(trace) = &mut result.trace else { return result };
     match fault {
         Fault::NoStandstill => {

@@ -88,7 +88,7 @@ impl Departure {
 
     /// Whether each departure is complete after one step.
     #[must_use]
-    pub fn takes_a_step(&self, step_s: f64) -> bool {
+    pub(crate) fn takes_a_step(&self, step_s: f64) -> bool {
         self.rate_per_s * step_s >= FARTHEST
     }
 

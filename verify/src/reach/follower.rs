@@ -162,7 +162,7 @@ impl Law {
 
     /// Most that the vehicle accelerates at, in m/s².
     #[must_use]
-    pub fn max_accel_mps2(&self) -> f64 {
+    pub(crate) fn max_accel_mps2(&self) -> f64 {
         match self {
             Self::Idm(law) => law.max_accel_mps2,
             Self::AccAeb(law) => law.max_accel_mps2,

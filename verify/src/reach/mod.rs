@@ -253,7 +253,7 @@ impl Reach {
 
     /// N h, to the nanosecond: the claim is about no later time.
     #[must_use]
-    pub fn horizon_s(&self) -> f64 {
+    pub(crate) fn horizon_s(&self) -> f64 {
         seconds(self.step_s, self.steps)
     }
 

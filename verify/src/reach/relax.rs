@@ -187,7 +187,7 @@ pub fn tanh(z: f64) -> Interval {
 
 /// e⁻ʸ for 0 ≤ y ≤ 40.
 #[must_use]
-pub fn exp_minus(y: f64) -> Interval {
+pub(crate) fn exp_minus(y: f64) -> Interval {
     let t = Interval::point(y / 1024.0);
     // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the same cut off one earlier.
     let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);

@@ -4,7 +4,7 @@ use statrs::distribution::{ContinuousCDF, Gamma};
 
 /// Waves of episodes: how many, and how large.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waves {
+pub(crate) struct Waves {
     /// How many.
     pub waves: u64,
     /// Episodes in all of them: Σ S, where S is the size of a wave.
@@ -18,13 +18,13 @@ pub struct Waves {
 impl Waves {
     /// So many waves of one episode.
     #[must_use]
-    pub fn lone(episodes: u64) -> Self {
+    pub(crate) fn lone(episodes: u64) -> Self {
         Self { waves: episodes, episodes, squares: episodes as f64, largest: 1 }
     }
 
     /// Waves of these sizes.
     #[must_use]
-    pub fn of(sizes: &[u64]) -> Self {
+    pub(crate) fn of(sizes: &[u64]) -> Self {
         Self {
             waves: sizes.len() as u64,
             episodes: sizes.iter().sum(),
@@ -41,7 +41,7 @@ impl Waves {
 /// v + M², above, where M is the largest S (Fay and Feuer, Confidence intervals for directly standardized rates, Statistics in Medicine
 /// 16, 1997). Where every wave is of one episode, that is the exact interval of Poisson's distribution (Garwood, 1936).
 #[must_use]
-pub fn expected_episodes(seen: Waves, confidence: f64) -> [f64; 2] {
+pub(crate) fn expected_episodes(seen: Waves, confidence: f64) -> [f64; 2] {
     let (sum, variance, largest) = (seen.episodes as f64, seen.squares, seen.largest as f64);
     let tail = 0.5 * (1.0 - confidence);
     let quantile = |mean: f64, variance: f64, share: f64| {

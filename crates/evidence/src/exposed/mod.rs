@@ -4,7 +4,7 @@
 //! fitted space, of which a count or an estimate saw some runs. And the *data*: the fitted space is not the traffic, and other episodes
 //! would have made another. The rate per hour is the product of episodes an hour and failures an episode. Its interval without the data's
 //! uncertainty is the product of both intervals, each at 1 − α/2, which hold together at 1 − α (Bonferroni). The data's uncertainty
-//! comes of [resamples](crate::fit::resampled) of the episodes, to each of which the space is fitted again.
+//! comes of resamples of the episodes, to each of which the space is fitted again.
 //!
 //! Brakings that the space does not describe happened in the same hours. Rates per hour count them as if they failed as often as the episodes: each
 //! episode stands for (N + left out) / N brakings. Without them, a rate would be too low because a recording is bad.
@@ -17,9 +17,10 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub use counting::{Waves, expected_episodes};
+pub(crate) use counting::{Waves, expected_episodes};
 pub(super) use divided::{OtherResamples, Part, PutTogether, own_resamples};
-pub use resampled::{LEAST_RESAMPLES, NotResampled, Resamples, estimate_again, run_again};
+pub(crate) use resampled::estimate_again;
+pub use resampled::{LEAST_RESAMPLES, NotResampled, Resamples, run_again};
 
 use super::RateInterval;
 use super::rare::Estimate;

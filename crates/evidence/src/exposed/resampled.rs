@@ -152,7 +152,7 @@ pub fn run_again<E>(
 ///
 /// # Errors
 /// Those of `again`.
-pub fn estimate_again<E>(
+pub(crate) fn estimate_again<E>(
     space: &Space,
     seed: u64,
     resamples: u32,

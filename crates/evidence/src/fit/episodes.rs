@@ -56,7 +56,7 @@ impl Number {
 
 /// The numbers of an episode with so many vehicles, in their order in [`Sample`], in which sizes of vehicles follow.
 #[must_use]
-pub fn numbers(taken: &Taken) -> Vec<Number> {
+pub(crate) fn numbers(taken: &Taken) -> Vec<Number> {
     let number = Number::new;
     let mut all = vec![
         number("lead_speed_mps", "vehicles[*].speed_mps", "m/s", [1.0, 50.0]),
@@ -102,7 +102,7 @@ fn lowest_mps(episode: &Episode) -> f64 {
 
 /// How many episodes are needed for so many numbers.
 #[must_use]
-pub fn least_episodes(numbers: usize) -> usize {
+pub(crate) fn least_episodes(numbers: usize) -> usize {
     EPISODES_A_NUMBER * numbers
 }
 
@@ -122,7 +122,7 @@ pub struct LeftOut {
 impl LeftOut {
     /// Those within the hours that are counted.
     #[must_use]
-    pub fn in_exposure(&self) -> usize {
+    pub(crate) fn in_exposure(&self) -> usize {
         self.impossible + self.outside
     }
 

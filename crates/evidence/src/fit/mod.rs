@@ -3,7 +3,7 @@
 //! [`Sample`] holds the numbers of each episode; [`Fitted`] is the space, with what was chosen and how well it fits. Each number has a
 //! family of [`Family::ALL`], the one of the greatest likelihood: all have two parameters, so that Akaike's criterion and
 //! Schwarz's agree. A value that is seen again and again, such as standstill, has a probability of its own beside; the size of vehicles is light
-//! or heavy. What depends on what is a Gaussian copula. [`refitted`] does the same with other values, such as a resample.
+//! or heavy. What depends on what is a Gaussian copula. `refitted` does the same with other values, such as a resample.
 //!
 //! | module | what it holds |
 //! |---|---|
@@ -33,12 +33,12 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{LeftOut, MOST_VEHICLES, Number, Sample, Taken, least_episodes, numbers};
+pub use episodes::{LeftOut, MOST_VEHICLES, Number, Sample, Taken};
 pub use error::FitError;
 pub use family::{Family, FamilyFit, NoFit};
 pub use fitted::{Fitted, FittedNumber, FittedSize, fit};
 pub use goodness::{Goodness, Tails, shown_p};
 pub use marginal::PointFit;
-pub use resample::resampled;
+pub(crate) use resample::resampled;
 pub use sizes::Sizes;
-pub use space::{edited, refitted};
+pub(crate) use space::{edited, refitted};

@@ -21,7 +21,7 @@ const COMPARED: u32 = 200;
 ///
 /// # Errors
 /// [`FitError`] for values that no family describes, or that are no space.
-pub fn refitted(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
+pub(crate) fn refitted(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
     space_of(spec, observed, &marginals(spec, observed)?)
 }
 
@@ -93,7 +93,7 @@ fn entry_of(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
 ///
 /// # Errors
 /// [`FitError`] where nothing can be fitted to the values.
-pub fn edited(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
+pub(crate) fn edited(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
     let again = refitted(space.spec(), observed)?;
     for parameter in &observed.parameters {
         let [stated, fitted] = [space.spec(), again.spec()].map(|spec| stated(spec, &parameter.name));

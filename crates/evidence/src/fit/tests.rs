@@ -4,6 +4,7 @@ use std::path::Path;
 use rand::RngExt;
 
 use super::dependence::{self, Column};
+use super::episodes::numbers;
 use super::marginal::Families;
 use super::*;
 use crumple_world::random::{Purpose, stream};

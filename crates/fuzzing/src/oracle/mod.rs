@@ -28,7 +28,7 @@ pub use steps::{same_impacts, step_size_decides_nothing};
 pub use story::one_story;
 
 /// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
-pub const ROUNDING_M: f64 = 1e-9;
+pub(crate) const ROUNDING_M: f64 = 1e-9;
 
 /// What an oracle found nothing wrong with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +45,7 @@ pub enum Checked {
 pub type Oracle = fn(&Question<'_>) -> Finding;
 
 /// What an oracle says: a broken law comes with what was seen.
-pub type Finding = Result<Checked, (Law, String)>;
+pub(crate) type Finding = Result<Checked, (Law, String)>;
 
 /// Every oracle, the cheapest first.
 pub const ORACLES: [Oracle; 10] = [
@@ -78,7 +78,7 @@ pub const LANE_ORACLES: [Oracle; 11] = [
 ];
 
 /// How many of [`ORACLES`], the first ones, look at one run only.
-pub const ORACLES_OF_A_RUN: usize = 3;
+pub(crate) const ORACLES_OF_A_RUN: usize = 3;
 
 /// A test case, the system that is questioned about it, and the run it made of it.
 pub struct Question<'t> {
@@ -87,7 +87,7 @@ pub struct Question<'t> {
     /// Who is questioned.
     pub system: &'t dyn System,
     /// The test case made ready to run.
-    pub run: Run<'t>,
+    pub run: Run,
     /// What came of it, with its trace.
     pub result: Simulated,
 }

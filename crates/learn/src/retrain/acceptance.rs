@@ -84,7 +84,7 @@ pub struct Change {
 impl Change {
     /// Between two lists.
     #[must_use]
-    pub fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
+    pub(crate) fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
         Self {
             before: before.len(),
             after: after.len(),

@@ -139,14 +139,14 @@ impl Report {
     ///
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
-    pub fn to_json(&self) -> Result<String, RetrainError> {
+    pub(crate) fn to_json(&self) -> Result<String, RetrainError> {
         to_json(self)
     }
 
     /// How many times rarer contacts are than with the first policy, at least: the lower end of the first policy's interval over
     /// the upper end of the retrained one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
     #[must_use]
-    pub fn factor_at_least(&self) -> Option<f64> {
+    pub(crate) fn factor_at_least(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
         Some(first.interval(self.judged_draws).lower / retrained.interval(self.judged_draws).upper)
     }

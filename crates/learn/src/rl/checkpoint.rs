@@ -105,7 +105,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
-    pub fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
+    pub(crate) fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
         let (stored, replay) = self.replay.as_numbers();
         let mut header = Header {
             version: VERSION,
@@ -152,7 +152,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainingError::Checkpoint`] for a checkpoint of another build, another training or another source, and for damaged ones.
-    pub fn from_checkpoint(
+    pub(crate) fn from_checkpoint(
         bytes: &[u8],
         config: &TrainingConfig,
         seed: u64,

@@ -99,7 +99,7 @@ impl CostConfig {
 
     /// Returns whether every weight is 0, as in the paper's reward.
     #[must_use]
-    pub fn is_free(&self) -> bool {
+    pub(crate) fn is_free(&self) -> bool {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)
     }
 

@@ -80,8 +80,8 @@ impl Terms {
 }
 
 /// One episode under way.
-pub struct Episode<'r, 's> {
-    stepper: Stepper<'r, 's>,
+pub struct Episode {
+    stepper: Stepper,
     terms: Arc<Terms>,
     earnings: Earnings,
     held: Held,
@@ -91,10 +91,10 @@ pub struct Episode<'r, 's> {
     undiscounted: f64,
 }
 
-impl<'r, 's> Episode<'r, 's> {
+impl Episode {
     /// An episode on a run with one vehicle under test behind the leader.
     #[must_use]
-    pub fn new(run: &'r Run<'s>, terms: &Arc<Terms>) -> Self {
+    pub fn new(run: &Run, terms: &Arc<Terms>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
             earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
@@ -177,7 +177,7 @@ impl<'r, 's> Episode<'r, 's> {
 
     /// The episode's reward so far as the paper counts it: undiscounted, unscaled, 22 500 when nothing touched.
     #[must_use]
-    pub fn total_reward(&self) -> f64 {
+    pub(crate) fn total_reward(&self) -> f64 {
         self.undiscounted
     }
 
@@ -189,7 +189,7 @@ impl<'r, 's> Episode<'r, 's> {
 
     /// Steps that were simulated.
     #[must_use]
-    pub fn steps_made(&self) -> usize {
+    pub(crate) fn steps_made(&self) -> usize {
         self.stepper.steps_made()
     }
 }

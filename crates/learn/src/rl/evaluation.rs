@@ -49,7 +49,7 @@ pub struct Evaluation {
     /// What a ranked policy did in everyday traffic; none if it was not ranked, or there are no such draws.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub useful: Option<UsefulDriving>,
-    /// Share of ranking draws that ended in contact, and what was at [fault](UsefulDriving::fault) in traffic, added up; none as above.
+    /// Share of ranking draws that ended in contact, and what was at fault in traffic, added up; none as above.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub both_sides: Option<f64>,
 }
@@ -57,7 +57,7 @@ pub struct Evaluation {
 impl Evaluation {
     /// Orders evaluations; greater is better: first safety where it was tested (with usefulness, where that was), then paper-3, then the margin.
     #[must_use]
-    pub fn score(&self) -> [f64; 5] {
+    pub(crate) fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
         [
             self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
@@ -118,7 +118,7 @@ impl HeldOut {
 
     /// With other scenarios for the ranking, which only policies reach that survive all three of the paper's.
     #[must_use]
-    pub fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
+    pub(crate) fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
         (self.ranking, self.paper_needed) = (ranking, PAPER.len());
         self
     }
@@ -127,7 +127,7 @@ impl HeldOut {
     ///
     /// # Errors
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
-    pub fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
+    pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
         let of = self.environment.estimator;
         let mut paper_safe = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;

@@ -46,7 +46,7 @@ impl<'s> Privileged<'s> {
     }
 
     /// Where its episode is now.
-    pub(super) fn at(&self, episode: &Episode<'_, '_>) -> [f32; PRIVILEGED] {
+    pub(super) fn at(&self, episode: &Episode) -> [f32; PRIVILEGED] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
         let [soon, later] = AHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {

@@ -215,13 +215,18 @@ impl Replay {
 
     /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
     #[must_use]
-    pub fn as_numbers(&self) -> (u64, &[f32]) {
+    pub(crate) fn as_numbers(&self) -> (u64, &[f32]) {
         (self.stored, &self.data)
     }
 
     /// The memory of which [`Replay::as_numbers`] tells; none if the numbers do not fit each other.
     #[must_use]
-    pub fn from_numbers(capacity: usize, remembered: Remembered, stored: u64, numbers: Vec<f32>) -> Option<Self> {
+    pub(crate) fn from_numbers(
+        capacity: usize,
+        remembered: Remembered,
+        stored: u64,
+        numbers: Vec<f32>,
+    ) -> Option<Self> {
         let mut replay = Self { stored, data: numbers, ..Self::new(capacity, remembered) };
         if !replay.data.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
             return None;

@@ -59,7 +59,7 @@ pub(super) struct Earnings {
 }
 
 impl Earnings {
-    pub(super) fn new(stepper: &Stepper<'_, '_>, step_s: f64, costs: &CostConfig) -> Self {
+    pub(super) fn new(stepper: &Stepper, step_s: f64, costs: &CostConfig) -> Self {
         Self { step_s, before_mps2: acceleration_mps2(stepper.motion()), nothing_costs: costs.is_free() }
     }
 

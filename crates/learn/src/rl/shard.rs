@@ -109,7 +109,7 @@ impl TrainingShard {
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer seeds than shards.
-    pub fn range(&self) -> Result<Range<u64>, TooManyShards> {
+    pub(crate) fn range(&self) -> Result<Range<u64>, TooManyShards> {
         self.shard.range(self.seeds, "seeds")
     }
 

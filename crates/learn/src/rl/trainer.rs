@@ -249,7 +249,7 @@ impl Trainer {
         let mut past = Past::default();
         let privileged = Privileged::new(&scenario, self.source.costs_times(draws_seed, index));
         let is_privileged = self.config.learning.privileged_critic;
-        let known_besides = |episode: &Episode<'_, '_>| is_privileged.then(|| privileged.at(episode));
+        let known_besides = |episode: &Episode| is_privileged.then(|| privileged.at(episode));
         let mut state = past.look_back(back, &episode.state()).to_vec();
         let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {

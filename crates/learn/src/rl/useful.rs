@@ -42,7 +42,7 @@ impl UsefulDriving {
     /// How far it is from being of use: the share of drives with a fault, and a little for discomfort and for keeping the wrong
     /// distance. 0 is best.
     #[must_use]
-    pub fn fault(&self) -> f64 {
+    pub(crate) fn fault(&self) -> f64 {
         let [closest_s, furthest_s] = TIME_GAPS_S;
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
         let beyond = |times_idm: f64| (times_idm / MOST_TIMES_IDM - 1.0).max(0.0);

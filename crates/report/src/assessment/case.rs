@@ -161,7 +161,7 @@ impl CaseVerdict {
 
     /// That its controller gave no answer, and why; nothing where it did.
     #[must_use]
-    pub fn unanswered(&self) -> Option<Unanswered> {
+    pub(crate) fn unanswered(&self) -> Option<Unanswered> {
         match self {
             Self::ControllerFailed { time_s, because, .. } => {
                 Some(Unanswered { runs: 1, because: format!("at {time_s} s, {because}") })

@@ -29,7 +29,7 @@ impl<const D: usize> Rounded<D> {
 
     /// Rounds down: for lower bounds.
     #[must_use]
-    pub fn down(value: f64) -> Self {
+    pub(crate) fn down(value: f64) -> Self {
         let nearest = Self::new(value);
         if nearest.0 <= value { nearest } else { Self::new(value - 0.5 * 10_f64.powi(-(D as i32))) }
     }

@@ -61,7 +61,7 @@ impl Axis {
 
     /// The axis from its other end: for names that read from top to bottom.
     #[must_use]
-    pub fn reversed(mut self) -> Self {
+    pub(crate) fn reversed(mut self) -> Self {
         let (low, high) = self.domain;
         for (value, _) in &mut self.marks {
             *value = low + high - *value;
@@ -71,7 +71,7 @@ impl Axis {
 
     /// The range of values.
     #[must_use]
-    pub fn domain(&self) -> (f64, f64) {
+    pub(crate) fn domain(&self) -> (f64, f64) {
         self.domain
     }
 

@@ -37,7 +37,7 @@ pub enum KeyEntry<'a> {
 }
 
 /// The cells of a grid within a frame, row by row from the top.
-pub fn grid_frames(frame: Frame, columns: usize, rows: usize) -> impl Iterator<Item = Frame> {
+pub(crate) fn grid_frames(frame: Frame, columns: usize, rows: usize) -> impl Iterator<Item = Frame> {
     let (width, height) = (frame.width / columns.max(1) as f64, frame.height / rows.max(1) as f64);
     (0..rows).flat_map(move |row| {
         (0..columns).map(move |column| {

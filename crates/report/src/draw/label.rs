@@ -36,13 +36,13 @@ impl Frame {
 
     /// Whether two rectangles share area.
     #[must_use]
-    pub fn overlaps(&self, other: &Self) -> bool {
+    pub(crate) fn overlaps(&self, other: &Self) -> bool {
         self.left < other.right() && other.left < self.right() && self.top < other.bottom() && other.top < self.bottom()
     }
 
     /// Whether the other rectangle lies inside.
     #[must_use]
-    pub fn encloses(&self, other: &Self) -> bool {
+    pub(crate) fn encloses(&self, other: &Self) -> bool {
         self.left <= other.left
             && other.right() <= self.right()
             && self.top <= other.top
@@ -78,7 +78,7 @@ pub fn text_width(text: &str, size: f64) -> f64 {
 
 /// `text` if it is no wider than `width` pixels, else its beginning and an ellipsis.
 #[must_use]
-pub fn shortened(text: &str, size: f64, width: f64) -> String {
+pub(crate) fn shortened(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
         return text.to_owned();
     }
@@ -94,7 +94,7 @@ pub fn shortened(text: &str, size: f64, width: f64) -> String {
 
 /// `text` in lines no wider than `width` pixels, broken between words; a single word may be wider.
 #[must_use]
-pub fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
+pub(crate) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
         match lines.last_mut() {
@@ -118,7 +118,7 @@ pub(crate) fn printable(text: &str) -> String {
 ///
 /// Where there is not enough room, the spacing shrinks until there is.
 #[must_use]
-pub fn spread(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
+pub(crate) fn spread(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..wanted.len()).collect();
     let aim = |index: usize| wanted.get(index).copied().filter(|w| w.is_finite()).unwrap_or(limits.0);
     order.sort_by(|&a, &b| aim(a).total_cmp(&aim(b)));
@@ -159,7 +159,7 @@ const CLEAR_PX: f64 = 22.0;
 ///
 /// `lines` run from left to right; `sizes` are widths and heights of the labels; labels stay inside `frame` and off
 /// `taken`, to which they are added.
-pub fn on_lines(
+pub(crate) fn on_lines(
     lines: &[Vec<Place>],
     sizes: &[(f64, f64)],
     frame: Frame,

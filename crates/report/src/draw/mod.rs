@@ -29,17 +29,21 @@ use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
 pub use axis::{Axis, BELOW, LEFT};
-pub use cells::{CellLook, KeyEntry, cells, grid_frames, key};
-pub use label::{Frame, on_lines, shortened, spread, text_width, wrapped};
-pub use motion::{Layout, MotionFigure, motion, motion_beside, motion_on, motion_plate, motion_responsive};
+pub(crate) use cells::grid_frames;
+pub use cells::{CellLook, KeyEntry, cells, key};
+pub use label::{Frame, text_width};
+pub use motion::{Layout, MotionFigure, motion, motion_on, motion_responsive};
+pub(crate) use motion::{motion_beside, motion_plate};
 pub use motion_axes::MotionAxes;
 pub use names::vehicle_names;
-pub use panel::{Anchor, HEADING, Marker, Panel, TaggedLine, mark, straight, tag, tag_width, words};
-pub use path::{Place, simplified};
+pub(crate) use panel::TaggedLine;
+pub use panel::{Anchor, HEADING, Marker, Panel, mark, words};
+pub(crate) use path::Place;
 #[cfg(feature = "png")]
 pub use png::DrawError;
-pub use scale::{Scale, Ticks, drawable, extent, padded, signed};
-pub use theme::{COLOURS, DASHES, Ink, SMALL, STYLE, Stroke, TEXT};
+pub(crate) use scale::Ticks;
+pub use scale::{extent, padded, signed};
+pub use theme::{Ink, SMALL, STYLE, Stroke};
 
 use crumple_core::quoted::Lines;
 pub(crate) use label::printable;
@@ -93,7 +97,7 @@ impl Svg {
 
     /// Width and height at full size, in pixels.
     #[must_use]
-    pub fn size(&self) -> (f64, f64) {
+    pub(crate) fn size(&self) -> (f64, f64) {
         (self.width, self.height)
     }
 

@@ -77,7 +77,7 @@ pub fn motion_responsive(figure: &MotionFigure<'_>) -> Markup {
 /// Several runs on the same axes, for an HTML page that holds [`STYLE`](super::STYLE): two columns where there is room,
 /// one below the other where there is not.
 #[must_use]
-pub fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
+pub(crate) fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
     let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
     let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
         let prefix = format!("{}-{name}", figure.prefix);
@@ -93,7 +93,7 @@ pub fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
 
 /// Several runs on the same axes as one figure, in columns: a file for itself.
 #[must_use]
-pub fn motion_plate(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
+pub(crate) fn motion_plate(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
     let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
     let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, Layout::Column)).collect();
     let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + PLATE_GAP)));

@@ -40,7 +40,7 @@ pub enum Anchor {
 
 /// A line that wants a tag; see [`Panel::tags`].
 #[derive(Debug, Clone)]
-pub struct TaggedLine {
+pub(crate) struct TaggedLine {
     /// The line, from left to right.
     pub points: Vec<(f64, f64)>,
     /// What the tag says: a word or two.
@@ -77,7 +77,7 @@ impl Panel {
 
     /// The data area, in pixels.
     #[must_use]
-    pub fn frame(&self) -> Frame {
+    pub(crate) fn frame(&self) -> Frame {
         self.frame
     }
 
@@ -89,7 +89,7 @@ impl Panel {
 
     /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
     #[must_use]
-    pub fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
+    pub(crate) fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
         points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.place(point)).collect()
     }
 
@@ -109,28 +109,19 @@ impl Panel {
     }
 
     /// Adds a translucent area between two lines, such as a mean plus and minus a standard deviation.
-    pub fn band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
+    pub(crate) fn band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
         let outline = path::between(&self.places(upper), &self.places(lower));
         self.inside.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
-    /// Adds a rectangle between two opposite corners.
-    pub fn bar(&mut self, corner: (f64, f64), opposite: (f64, f64), ink: Ink) {
-        let ((x0, y0), (x1, y1)) = (self.place(corner), self.place(opposite));
-        self.inside.push(html! {
-            rect x=(Px(x0.min(x1))) y=(Px(y0.min(y1))) width=(Px((x1 - x0).abs())) height=(Px((y1 - y0).abs()))
-                fill=(ink.hex()) fill-opacity="0.8" {}
-        });
-    }
-
     /// Adds a straight line between two points, such as the whisker of an interval.
-    pub fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
+    pub(crate) fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
         let (from, to) = (self.place(from), self.place(to));
         self.inside.push(straight(from, to, stroke));
     }
 
     /// Adds a vertical line over the full height.
-    pub fn rule_x(&mut self, value: f64, stroke: Stroke) {
+    pub(crate) fn rule_x(&mut self, value: f64, stroke: Stroke) {
         let (x, _) = self.place((value, 0.0));
         self.inside.push(straight((x, self.frame.top), (x, self.frame.bottom()), stroke));
     }
@@ -165,7 +156,7 @@ impl Panel {
     }
 
     /// Adds something drawn in pixels to the data, cut off at the frame.
-    pub fn layer(&mut self, content: Markup) {
+    pub(crate) fn layer(&mut self, content: Markup) {
         self.inside.push(content);
     }
 
@@ -177,7 +168,7 @@ impl Panel {
     /// Adds a tag to each line, where the lines are far apart; a line that runs where there is no room gets none.
     ///
     /// Call this last: tags keep off what is there.
-    pub fn tags(&mut self, lines: &[TaggedLine]) {
+    pub(crate) fn tags(&mut self, lines: &[TaggedLine]) {
         let places: Vec<_> = lines.iter().map(|line| path::simplified(&self.places(&line.points))).collect();
         let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
         let centres = on_lines(&places, &sizes, self.frame, &mut self.taken);
@@ -237,13 +228,13 @@ pub fn words((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, hal
 
 /// Width of a tag, in pixels.
 #[must_use]
-pub fn tag_width(text: &str) -> f64 {
+pub(crate) fn tag_width(text: &str) -> f64 {
     (text_width(text, SMALL) + 7.0).max(TAG_HEIGHT + 1.0)
 }
 
 /// A short label in a rounded box around `centre`, in pixels.
 #[must_use]
-pub fn tag(centre: Place, text: &str, ink: Ink) -> Markup {
+pub(crate) fn tag(centre: Place, text: &str, ink: Ink) -> Markup {
     let Frame { left, top, width, height } = Frame::around(centre, tag_width(text), TAG_HEIGHT);
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) rx=(Px(height / 2.0))
@@ -254,7 +245,7 @@ pub fn tag(centre: Place, text: &str, ink: Ink) -> Markup {
 
 /// A straight line between two places, in pixels.
 #[must_use]
-pub fn straight(from: Place, to: Place, stroke: Stroke) -> Markup {
+pub(crate) fn straight(from: Place, to: Place, stroke: Stroke) -> Markup {
     let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
     html! {
         path d=(path::open(&[from, to])) stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))

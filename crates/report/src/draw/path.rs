@@ -9,7 +9,7 @@ const TOLERANCE_PX: f64 = 0.15;
 const COLUMN_PX: f64 = 0.25;
 
 /// A place in the figure, in pixels from its top left corner.
-pub type Place = (f64, f64);
+pub(crate) type Place = (f64, f64);
 
 /// A number of pixels, written with one decimal at most.
 #[derive(Debug, Clone, Copy)]
@@ -57,7 +57,7 @@ fn data(points: &[Place]) -> String {
 ///
 /// Non-finite points are left out.
 #[must_use]
-pub fn simplified(points: &[Place]) -> Vec<Place> {
+pub(crate) fn simplified(points: &[Place]) -> Vec<Place> {
     let finite: Vec<Place> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     straightened(&columns(&finite))
 }

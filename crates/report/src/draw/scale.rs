@@ -8,7 +8,7 @@ const FARTHEST_PX: f64 = 1e5;
 
 /// A linear map from an interval of values to an interval of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scale {
+pub(crate) struct Scale {
     domain: (f64, f64),
     range: (f64, f64),
 }
@@ -18,29 +18,17 @@ impl Scale {
     ///
     /// A domain that is empty, reversed or not finite becomes one that can be drawn, see [`drawable`].
     #[must_use]
-    pub fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
+    pub(crate) fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
         Self { domain: drawable(domain), range }
-    }
-
-    /// The interval of values.
-    #[must_use]
-    pub fn domain(&self) -> (f64, f64) {
-        self.domain
     }
 
     /// Where `value` is drawn, in pixels; NaN is drawn at the start.
     #[must_use]
-    pub fn px(&self, value: f64) -> f64 {
+    pub(crate) fn px(&self, value: f64) -> f64 {
         let value = if value.is_nan() { self.domain.0 } else { value };
         let share = (value - self.domain.0) / (self.domain.1 - self.domain.0);
         let px = self.range.0 + share * (self.range.1 - self.range.0);
         px.clamp(-FARTHEST_PX, FARTHEST_PX)
-    }
-
-    /// Whether `value` lies in the domain.
-    #[must_use]
-    pub fn holds(&self, value: f64) -> bool {
-        (self.domain.0..=self.domain.1).contains(&value)
     }
 }
 
@@ -51,7 +39,7 @@ fn bounded(value: f64) -> f64 {
 
 /// An interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
-pub fn drawable(domain: (f64, f64)) -> (f64, f64) {
+pub(crate) fn drawable(domain: (f64, f64)) -> (f64, f64) {
     let (one, other) = (bounded(domain.0), bounded(domain.1));
     let (low, high) = (one.min(other), one.max(other));
     let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
@@ -80,7 +68,7 @@ pub fn padded(domain: (f64, f64), share: f64) -> (f64, f64) {
 
 /// Round numbers inside an interval, evenly spaced by 1, 2 or 5 times a power of ten.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ticks {
+pub(crate) struct Ticks {
     /// The numbers, increasing.
     pub values: Vec<f64>,
     /// Digits after the point that tell them apart.
@@ -90,7 +78,7 @@ pub struct Ticks {
 impl Ticks {
     /// The closest-spaced round numbers of which at most `most` (taken as 5 to 10) lie in `domain`; always 2 at least.
     #[must_use]
-    pub fn within(domain: (f64, f64), most: usize) -> Self {
+    pub(crate) fn within(domain: (f64, f64), most: usize) -> Self {
         let (low, high) = drawable(domain);
         let most = most.clamp(5, 10);
         // Neighbouring steps differ by a factor of at most 2.5: the first that fits under `most` leaves two or more.
@@ -118,7 +106,7 @@ impl Ticks {
     }
 
     /// Each number with its label.
-    pub fn labelled(&self) -> impl Iterator<Item = (f64, String)> + '_ {
+    pub(crate) fn labelled(&self) -> impl Iterator<Item = (f64, String)> + '_ {
         self.values.iter().map(|&value| (value, signed(value, self.decimals)))
     }
 }
@@ -162,8 +150,8 @@ mod tests {
         fn any_interval_can_be_drawn(low in ANY_NUMBER, high in ANY_NUMBER, value in ANY_NUMBER) {
             let scale = Scale::new((low, high), (10.0, 110.0));
             prop_assert!(scale.px(value).is_finite());
-            prop_assert!((scale.px(scale.domain().0) - 10.0).abs() < 1e-9);
-            prop_assert!((scale.px(scale.domain().1) - 110.0).abs() < 1e-9);
+            prop_assert!((scale.px(scale.domain.0) - 10.0).abs() < 1e-9);
+            prop_assert!((scale.px(scale.domain.1) - 110.0).abs() < 1e-9);
             prop_assert!((2..=10).contains(&Ticks::within((low, high), 6).values.len()));
         }
     }

@@ -8,7 +8,7 @@ use super::path::Px;
 pub(super) const FONTS: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
 
 /// Size of ordinary text, in the figure's own units (CSS pixels at full size).
-pub const TEXT: f64 = 12.0;
+pub(crate) const TEXT: f64 = 12.0;
 
 /// Size of tick labels, tags and notes.
 pub const SMALL: f64 = 11.0;
@@ -16,10 +16,10 @@ pub const SMALL: f64 = 11.0;
 /// Number of different series colours, after which they repeat.
 ///
 /// It shares no factor with [`DASHES`], so colour and dash together tell [`COLOURS`] × `DASHES.len()` series apart.
-pub const COLOURS: usize = 5;
+pub(crate) const COLOURS: usize = 5;
 
 /// Dash patterns, solid first; a series keeps its pattern in every panel.
-pub const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
+pub(crate) const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
 
 /// A colour by its role.
 ///
@@ -40,7 +40,7 @@ pub enum Ink {
     Paper,
     /// Contact and failure. Never the only carrier of that meaning: a mark or a word goes with it.
     Alert,
-    /// The `n`-th series; colours repeat after [`COLOURS`].
+    /// The `n`-th series; colours repeat after `COLOURS`.
     Series(usize),
 }
 

@@ -55,7 +55,7 @@ const MORE_FRICTION: &str = "more-friction";
 impl Relation {
     /// The partner of a scenario: the same with less of it; none if there can be none.
     #[must_use]
-    pub fn partner(self, scenario: &Scenario) -> Option<Scenario> {
+    pub(crate) fn partner(self, scenario: &Scenario) -> Option<Scenario> {
         match self {
             Self::LargerGap { by_m } => {
                 let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
@@ -70,7 +70,7 @@ impl Relation {
 
     /// What the partner has, in words.
     #[must_use]
-    pub fn describe_partner(self) -> String {
+    pub(crate) fn describe_partner(self) -> String {
         match self {
             Self::LargerGap { by_m } => format!("with {by_m} m less of a gap ahead at the start"),
             Self::MoreFriction { by } => format!("with a friction that is lower by {by}"),
@@ -193,7 +193,7 @@ impl ContrastRecord {
 
     /// Which failures count, as the end of a sentence.
     #[must_use]
-    pub fn describe(&self) -> String {
+    pub(crate) fn describe(&self) -> String {
         match self {
             Self::Against { controller, .. } => format!("where `{controller}` holds"),
             Self::Metamorphic(relation) => format!("that do not occur {}", relation.describe_partner()),

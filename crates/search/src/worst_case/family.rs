@@ -141,7 +141,7 @@ impl Family {
 
     /// Its ranges; none if it is a single scenario. Around [`Family::centre`] they make this family.
     #[must_use]
-    pub fn ranges(&self) -> Option<Ranges> {
+    pub(crate) fn ranges(&self) -> Option<Ranges> {
         (!self.is_point()).then(|| Ranges { version: 1, ranges: self.ranges.clone() })
     }
 
@@ -152,7 +152,7 @@ impl Family {
 
     /// Whether it is a single scenario.
     #[must_use]
-    pub fn is_point(&self) -> bool {
+    pub(crate) fn is_point(&self) -> bool {
         self.low == self.high
     }
 }

@@ -16,17 +16,17 @@ const PREFIX: &str = ".crumple-unfinished-";
 
 /// Returns whether the name is that of a file that is not yet in its place.
 #[must_use]
-pub fn is_unfinished(path: &Path) -> bool {
+pub(crate) fn is_unfinished(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
 }
 
 /// Returns the name of the file with a number, of a folder of work.
-pub fn numbered(number: u64) -> String {
+pub(crate) fn numbered(number: u64) -> String {
     format!("{PREFIX}{number}")
 }
 
 /// Returns the number in the name of such a file.
-pub fn number_of(name: &str) -> Option<u64> {
+pub(crate) fn number_of(name: &str) -> Option<u64> {
     name.strip_prefix(PREFIX)?.parse().ok()
 }
 
@@ -62,7 +62,7 @@ pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
-pub fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
+pub(crate) fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
     remove_those(folder, true)
 }
 

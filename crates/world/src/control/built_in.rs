@@ -79,7 +79,7 @@ macro_rules! define {
         }
 
         /// A controller of any kind, ready to drive one vehicle.
-        pub enum AnyController {
+        pub(crate) enum AnyController {
             $($(#[$doc])* $rule($rule),)*
             /// A learned policy.
             Policy(PolicyDriver),
@@ -112,8 +112,7 @@ macro_rules! define {
 
         impl AnyController {
             /// Builds a built-in controller for a vehicle. `seed` is the scenario's.
-            #[must_use]
-            pub fn built_in(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
+            pub(crate) fn built_in(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
                 match spec {
                     $(ControllerSpec::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
                     $(ControllerSpec::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
@@ -262,6 +261,12 @@ impl ControllerSpec {
     /// The place of the value of the `index`-th of [`Self::fields`].
     pub fn get_mut(&mut self, index: usize) -> Option<&mut f64> {
         of_row!(self, |_Row, settings| settings.get_mut(index))
+    }
+
+    /// Starts the controller for a vehicle. `seed` is the scenario's.
+    #[must_use]
+    pub fn start(&self, ego: &Ego, seed: u64) -> Box<dyn Controller> {
+        Box::new(AnyController::built_in(self, ego, seed))
     }
 
     /// SHA-256, in hexadecimal, of what decides how it drives: of a policy's file, or of a rule's name and settings.

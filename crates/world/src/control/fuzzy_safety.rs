@@ -48,7 +48,7 @@ impl FuzzySafetySettings {
     /// The proactive metric, 0 to 1: whether braking at the comfortable and at the hardest rate from the reaction time on ends behind a
     /// vehicle that brakes as hard as is reckoned with.
     #[must_use]
-    pub fn proactive(&self, speed_mps: f64, ahead: &Neighbour) -> f64 {
+    pub(crate) fn proactive(&self, speed_mps: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, ahead_brake_mps2, .. } = *self;
         let needed_m = |brake_mps2: f64| {
             speed_mps * reaction_s + speed_mps * speed_mps / (2.0 * brake_mps2)
@@ -61,7 +61,7 @@ impl FuzzySafetySettings {
     /// The critical metric, 0 to 1: whether braking at the two rates from the reaction time on avoids a vehicle that holds its speed.
     /// Until then, the own acceleration lasts, as far as it is comfortable.
     #[must_use]
-    pub fn critical(&self, speed_mps: f64, acceleration_mps2: f64, ahead: &Neighbour) -> f64 {
+    pub(crate) fn critical(&self, speed_mps: f64, acceleration_mps2: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, .. } = *self;
         let closing_mps = speed_mps - ahead.speed_mps;
         if closing_mps <= 0.0 {

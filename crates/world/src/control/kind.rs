@@ -128,7 +128,7 @@ impl ControllerKind {
     ///
     /// # Errors
     /// [`ControllerFailure`] of a process that cannot be started or does not introduce itself.
-    pub fn try_start(&self) -> Result<(), ControllerFailure> {
+    pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
         match self.unshielded() {
             Self::Process(process) => process.try_start(),
             _ => Ok(()),

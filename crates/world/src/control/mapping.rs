@@ -234,7 +234,7 @@ impl Mapping {
 
     /// Numbers that a controller sees at each decision.
     #[must_use]
-    pub fn width(&self) -> usize {
+    pub(crate) fn width(&self) -> usize {
         self.inputs.len() * self.history
     }
 
@@ -299,7 +299,7 @@ impl Mapping {
 
     /// The acceleration that an answer means, and the range that it should not leave, in m/s².
     #[must_use]
-    pub fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
+    pub(crate) fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
         let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let answer = match squash {
             Some(Squash::Tanh) => libm::tanh(answer),
@@ -362,7 +362,7 @@ impl Input {
 
     /// The least and the most that the controller sees of it.
     #[must_use]
-    pub fn limits(&self) -> [f64; 2] {
+    pub(crate) fn limits(&self) -> [f64; 2] {
         match self.constant {
             Some(constant) => [self.scaled(constant); 2],
             None => [self.low, self.high],

@@ -77,29 +77,33 @@ mod together;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
-pub use built_in::{AnyController, BuiltIn, ControllerSpec, InvalidSetting, Role};
+pub(crate) use built_in::AnyController;
+pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
 pub use kind::{ControllerKind, Shielded};
 pub use mapping::{HistoryPadding, Input, InvalidMapping, Mapping, Output, Squash};
 pub use match_leader::MatchLeader;
-pub use network::{NetworkController, NetworkDriver};
+pub use network::NetworkController;
+pub(crate) use network::NetworkDriver;
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
+pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
 pub use process::fmu_host;
 pub use process::{
-    FmuProblem, NamedBy, ProcessController, ProcessDriver, ProcessSetup, StartPermission, StartRefused, Wiring,
-    allow_external, is_external_allowed,
+    FmuProblem, NamedBy, ProcessController, ProcessSetup, StartPermission, StartRefused, Wiring, allow_external,
+    is_external_allowed,
 };
 pub use quantity::Quantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use shield::{
-    Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, Real, Shield, ShieldSettings, ShieldState,
-    Travel, largest_closing_m, moved,
+    Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Real, ShieldSettings, ShieldState, largest_closing_m, moved,
 };
-pub use source::{BatchController, ControllerFailure, ControllerSource, Needs, ZeroOrderHold};
+pub(crate) use shield::{MOST_MARGIN_M, Override, Shield, Travel};
+pub(crate) use source::ZeroOrderHold;
+pub use source::{BatchController, ControllerFailure, ControllerSource, Needs};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
 

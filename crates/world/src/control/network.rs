@@ -68,7 +68,7 @@ impl NetworkController {
     ///
     /// # Errors
     /// [`InvalidMapping`] if it sees other numbers, or does not answer with one from -1 to 1.
-    pub fn with_own_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
+    pub(crate) fn with_own_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
         const ASK: &str =
             "write a controller file that says what it sees and what its answer means (docs/controllers.md)";
         let mapping = Mapping::own();
@@ -96,25 +96,25 @@ impl NetworkController {
 
     /// Records the file that states the mapping.
     #[must_use]
-    pub fn with_file_path(self, path: &Path) -> Self {
+    pub(crate) fn with_file_path(self, path: &Path) -> Self {
         Self { file_path: Some(path.to_owned()), ..self }
     }
 
     /// Returns the file that states the mapping, if it came from one.
     #[must_use]
-    pub fn file_path(&self) -> Option<&Path> {
+    pub(crate) fn file_path(&self) -> Option<&Path> {
         self.file_path.as_deref()
     }
 
     /// Says whether the inputs hold the normalisation behind which it was trained (`normalised` of a controller file).
     #[must_use]
-    pub fn with_normalised(self, normalised: Option<bool>) -> Self {
+    pub(crate) fn with_normalised(self, normalised: Option<bool>) -> Self {
         Self { normalised, ..self }
     }
 
     /// Whether the inputs are said to hold the normalisation behind which it was trained.
     #[must_use]
-    pub fn normalised(&self) -> Option<bool> {
+    pub(crate) fn normalised(&self) -> Option<bool> {
         self.normalised
     }
 
@@ -159,7 +159,7 @@ impl NetworkController {
 }
 
 /// Asks a network once every decision interval and holds its answer in between.
-pub struct NetworkDriver {
+pub(crate) struct NetworkDriver {
     controller: Arc<NetworkController>,
     interval: Interval,
     held_mps2: f64,
@@ -171,7 +171,7 @@ pub struct NetworkDriver {
 impl NetworkDriver {
     /// A network that drives a vehicle.
     #[must_use]
-    pub fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
+    pub(crate) fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
         let interval = Interval::new(controller.mapping.decision_interval_s, ego.step_s);
         Self {
             controller,

@@ -24,7 +24,7 @@ impl RssSettings {
     /// The safe distance behind a vehicle at `ahead_mps`, in metres (the paper's definition of the safe longitudinal distance,
     /// one direction): [v ρ + a ρ²/2 + (v + a ρ)²/(2 b) - v_f²/(2 b_f)]₊.
     #[must_use]
-    pub fn safe_distance_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
+    pub(crate) fn safe_distance_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
         let Self { response_s, accel_mps2, brake_mps2, ahead_brake_mps2 } = *self;
         let fastest_mps = speed_mps + accel_mps2 * response_s;
         let before_m = (speed_mps + 0.5 * accel_mps2 * response_s) * response_s;

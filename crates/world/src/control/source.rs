@@ -135,7 +135,7 @@ pub trait BatchController: Send + Sync {
 }
 
 /// A controller from outside, held between its decisions. Answers that are no numbers are failures.
-pub struct ZeroOrderHold {
+pub(crate) struct ZeroOrderHold {
     controller: Box<dyn Controller>,
     /// Where it comes from, if that answers for many.
     asked_together: Option<Arc<dyn ControllerSource>>,
@@ -149,14 +149,14 @@ impl ZeroOrderHold {
     /// Holds a controller that decides every `interval_s` seconds, or at every step; the first decision is due at the first
     /// step.
     #[must_use]
-    pub fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
+    pub(crate) fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
         let interval = Interval::new(interval_s, step_s);
         Self { controller, asked_together: None, interval, seen: None, held_mps2: 0.0 }
     }
 
     /// The same, asked together with others from `source` if that [answers for many](ControllerSource::batch).
     #[must_use]
-    pub fn asked_together(mut self, source: &Arc<dyn ControllerSource>) -> Self {
+    pub(crate) fn asked_together(mut self, source: &Arc<dyn ControllerSource>) -> Self {
         self.asked_together = source.batch().is_some().then(|| Arc::clone(source));
         self
     }

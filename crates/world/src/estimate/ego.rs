@@ -1,5 +1,7 @@
 //! The ego's three filters and the observation they make up.
 
+use std::sync::Arc;
+
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{Estimate, Filter, Inertia, KnownChange, Sensor, Tuning};
@@ -38,7 +40,7 @@ impl EgoTuning {
     /// forward, so only the one ahead can mislead a filter. A vehicle that stops inside a step counts with its mean
     /// acceleration over the step; what that leaves out in position is less than a h²/8.
     #[must_use]
-    pub fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
+    pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
         let worst = |tuning: &Tuning, span_mps2: f64| {
             let [distance, rate, _] = tuning.steady_deviations();
@@ -83,6 +85,7 @@ pub struct TrueState {
 /// What the ego feels of its own motion is fed forward into all three, so that only the neighbours can surprise them.
 #[derive(Debug, Clone)]
 pub struct EgoEstimator {
+    tuning: Arc<EgoTuning>,
     /// First errors of filters.
     first: Stream,
     inertia: Inertia,
@@ -95,37 +98,39 @@ impl EgoEstimator {
     /// Sensors and filters of vehicle `vehicle` that have been running before the scenario starts in state `truth`, at constant
     /// speed until then.
     #[must_use]
-    pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &EgoTuning, truth: &TrueState) -> Self {
+    pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
         let own = &truth.observation;
         let mut first = random::stream(seed, Purpose::FirstEstimate, vehicle as u64);
         let position = running(&mut first, &tuning.position, truth.position_m, own.speed_mps);
         let sensor = |purpose, noise_m| Sensor::new(seed, purpose, vehicle, noise_m, sensors);
         let mut estimator = Self {
+            tuning: Arc::clone(tuning),
             first,
             inertia: Inertia::cruising(own.speed_mps),
             position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
             ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
             behind: (sensor(Purpose::GapBehindSensor, sensors.gap_noise_m), None),
         };
-        estimator.follow_others(tuning, truth, [true, true]);
+        estimator.follow_others(truth, [true, true]);
         estimator
     }
 
     /// Follows other vehicles from here on, ahead and behind where they have `changed`: as if those had been followed before, as
     /// sensors follow vehicles beside the lane too.
-    pub fn follow_others(&mut self, tuning: &EgoTuning, truth: &TrueState, changed: [bool; 2]) {
+    pub(crate) fn follow_others(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
             *filter = neighbour.map(|other| {
-                running(&mut self.first, &tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
+                running(&mut self.first, &self.tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
             });
         }
     }
 
     /// Measures the true state of this step and returns what the ego makes of it.
     #[inline]
-    pub fn observe(&mut self, tuning: &EgoTuning, truth: &TrueState) -> Observation {
+    pub fn observe(&mut self, truth: &TrueState) -> Observation {
+        let tuning = &*self.tuning;
         let truly = &truth.observation;
         let felt = self.inertia.felt(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
         let (sensor, filter) = &mut self.position;

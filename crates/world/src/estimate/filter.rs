@@ -84,7 +84,7 @@ impl Tuning {
     /// acceleration; the largest error is the sum of its absolute values. A constant acceleration leaves no error, so only
     /// half the width of a range of accelerations counts, not where it lies.
     #[must_use]
-    pub fn manoeuvre_errors(&self) -> [f64; 2] {
+    pub(crate) fn manoeuvre_errors(&self) -> [f64; 2] {
         let h = self.step_s;
         let mut filter = Filter::running(self, 0.0, 0.0, [0.0; 3]);
         filter.update(self, Some(0.0));

@@ -234,7 +234,7 @@ impl Specification {
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
-    pub fn judge(&self, run: &Run<'_>, result: &Simulated) -> Result<RunVerdict, SpecificationError> {
+    pub fn judge(&self, run: &Run, result: &Simulated) -> Result<RunVerdict, SpecificationError> {
         let robustness = match (self, &result.outcome) {
             (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
             (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(LEAST_VIOLATION),
@@ -264,7 +264,7 @@ fn judge_formula(formula: &Formula, signals: &Signals<'_>) -> Result<f64, Monito
     Ok(if violated_at_zero { -LEAST_VIOLATION } else { robustness })
 }
 
-fn first_contact(run: &Run<'_>, result: &Simulated) -> Option<FirstContact> {
+fn first_contact(run: &Run, result: &Simulated) -> Option<FirstContact> {
     let contact = result.outcome.contact()?;
     let scenario = run.scenario();
     // Of two vehicles under test the one that hits.

@@ -40,7 +40,7 @@ pub enum Elementwise {
 impl Elementwise {
     /// How many numbers it is for; none if for any.
     #[must_use]
-    pub fn width(&self) -> Option<usize> {
+    pub(crate) fn width(&self) -> Option<usize> {
         match self {
             Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
             Self::Clip { low, .. } => Some(low.len()),

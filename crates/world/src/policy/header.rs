@@ -129,7 +129,7 @@ impl ActionBounds {
     /// infinity answers with, would mean full braking: a vehicle must not coast because its controller failed.
     #[must_use]
     #[inline]
-    pub fn action(raw: f32) -> f32 {
+    pub(crate) fn action(raw: f32) -> f32 {
         if raw.is_nan() { -1.0 } else { libm::tanhf(raw) }
     }
 }

@@ -83,7 +83,7 @@ impl Network {
 
     /// The first layer whose output could leave single precision for an input within plus and minus `limit`, by the bound
     /// |h W + b| <= |h| |W| + |b|, which holds for every partial sum too.
-    pub fn overflowing_layer(&self, limit: f64) -> Option<usize> {
+    pub(crate) fn overflowing_layer(&self, limit: f64) -> Option<usize> {
         // Half of the range is left for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
         let mut bounds = vec![limit; self.sizes.first().copied().unwrap_or_default()];

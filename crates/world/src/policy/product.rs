@@ -64,14 +64,14 @@ pub struct Panels {
 
 impl Panels {
     /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
-    pub fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         self.reshape(shape);
         for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
             fill(data, panel * PANEL, right, start, shape);
         }
     }
 
-    /// [`Panels::pack`] on all threads of the pool it is called in.
+    /// `pack` on all threads of the pool it is called in.
     pub fn pack_together(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         if shape[0] * shape[1] < WIDELY_PACKED {
             return self.pack(right, start, shape);
@@ -95,7 +95,7 @@ impl Panels {
     }
 
     /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
-    pub fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+    pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let (Left::Rows(data) | Left::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
         self.multiply_by(Arch::new(), left, m, rectified, out);
@@ -105,7 +105,7 @@ impl Panels {
         path.dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
     }
 
-    /// [`Panels::multiply`] on all threads of the pool it is called in: for products that do not run beside others.
+    /// `multiply` on all threads of the pool it is called in: for products that do not run beside others.
     pub fn multiply_together(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
         let worth = (m * self.rows * self.columns / SHARED_OUT).max(1);
         let parts = rayon::current_num_threads().min(worth);

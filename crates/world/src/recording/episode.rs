@@ -20,7 +20,7 @@ const STEPS_PER_S: f64 = 100.0;
 /// A leader's braking with the followers' start. Times count from the start of the scenario unless said otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
-    /// The event it was recorded in, where the file names events; see [`Platoon::event`](super::Platoon::event).
+    /// The event it was recorded in, where the file names events; see `Platoon::event`.
     pub event: Option<String>,
     /// Line of the file that holds the start, from 1.
     pub line: u64,

@@ -108,7 +108,7 @@ pub struct Platoon {
 impl Platoon {
     /// The event it was recorded in, where the file names events; a long name is cut after 40 characters, for display.
     #[must_use]
-    pub fn event(&self) -> Option<&str> {
+    pub(crate) fn event(&self) -> Option<&str> {
         self.event.as_deref()
     }
 

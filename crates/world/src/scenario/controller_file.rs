@@ -17,7 +17,7 @@ use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
 use crate::policy::{Policy, PolicyError};
 
 /// Version of the format of controller files that this release reads.
-pub const CONTROLLER_FILE_VERSION: u32 = 1;
+pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// A controller file as it is written: `docs/controllers.md`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

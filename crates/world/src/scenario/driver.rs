@@ -26,49 +26,46 @@ pub enum Driver {
 }
 
 /// A controller from a file, which drives a vehicle in every run.
-#[derive(Debug, Clone)]
-pub struct FileDriver {
-    form: FileForm,
-    controller: Option<ControllerKind>,
-}
-
-/// As a scenario file states it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "FileForm", description = "As a scenario file states it."))]
 #[serde(deny_unknown_fields)]
-struct FileForm {
+pub struct FileDriver {
     /// The file, from the folder of the scenario's: a policy, a network or a controller file.
     path: String,
     /// Identity that the controller must have.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sha256: Option<String>,
+    /// Controller, once it was read.
+    #[serde(skip)]
+    controller: Option<ControllerKind>,
 }
 
-/// Two are equal if they state the same; what was read states its identity.
+/// Compares what the drivers state: a controller that was read states its identity.
 impl PartialEq for FileDriver {
     fn eq(&self, other: &Self) -> bool {
-        self.form == other.form
+        (&self.path, &self.sha256) == (&other.path, &other.sha256)
     }
 }
 
 impl FileDriver {
-    /// The controller, once it was read.
+    /// Returns the controller, once it was read.
     #[must_use]
     pub fn controller(&self) -> Option<&ControllerKind> {
         self.controller.as_ref()
     }
 
-    /// Where it was read from.
+    /// Returns the path of the file.
     #[must_use]
     pub fn path(&self) -> &str {
-        &self.form.path
+        &self.path
     }
 
     /// Reads the controller, whose path starts at `folder`. From then on it states its identity and where it lies on this
     /// machine, so that a scenario that is written elsewhere still finds it, and no other.
     pub(super) fn read(&mut self, folder: &Path) -> Result<(), Problem> {
         let unusable = |why: String| Problem::DriverFile { why };
-        let path = path::absolute(folder.join(&self.form.path)).map_err(|error| unusable(error.to_string()))?;
+        let path = path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
         if !is_ordinary(&path) {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
@@ -83,14 +80,13 @@ impl FileDriver {
                 path.display()
             )));
         };
-        if let Some(wanted) = self.form.sha256.as_ref().filter(|wanted| **wanted != identity) {
+        if let Some(wanted) = self.sha256.as_ref().filter(|wanted| **wanted != identity) {
             let problem = format!("{} has the identity {identity}, and {wanted} is wanted", path.display());
             return Err(unusable(problem));
         }
         let path = path.into_os_string().into_string();
         let path = path.map_err(|path| unusable(format!("{} is a path that is not UTF-8", path.display())))?;
-        self.form = FileForm { path, sha256: Some(identity) };
-        self.controller = Some(controller);
+        *self = Self { path, sha256: Some(identity), controller: Some(controller) };
         Ok(())
     }
 }
@@ -120,7 +116,7 @@ macro_rules! define_form {
             $($(#[$doc])* $rule(<control::$rule as BuiltIn>::Settings),)*
             $($(#[$policy_doc])* $policy(<control::$known_by as BuiltIn>::Settings),)*
             /// A controller from a file.
-            File(FileForm),
+            File(FileDriver),
         }
 
         impl From<DriverForm> for Driver {
@@ -136,7 +132,7 @@ macro_rules! define_form {
                     F::Recorded(profile) => Self::Profile(LeadProfile::Recorded(profile)),
                     $(F::$rule(settings) => Self::Controller(ControllerSpec::$rule(settings)),)*
                     $(F::$policy(settings) => Self::Controller(ControllerSpec::$policy(settings)),)*
-                    F::File(form) => Self::File(FileDriver { form, controller: None }),
+                    F::File(file) => Self::File(file),
                 }
             }
         }
@@ -153,7 +149,7 @@ macro_rules! define_form {
                     Driver::Profile(LeadProfile::Recorded(profile)) => Self::Recorded(profile),
                     $(Driver::Controller(ControllerSpec::$rule(settings)) => Self::$rule(settings),)*
                     $(Driver::Controller(ControllerSpec::$policy(settings)) => Self::$policy(settings),)*
-                    Driver::File(file) => Self::File(file.form),
+                    Driver::File(file) => Self::File(file),
                 }
             }
         }

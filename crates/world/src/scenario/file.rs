@@ -93,8 +93,8 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 /// Reads the scenario file at `path`, or every one in the folder there, in order of their names.
 ///
 /// # Errors
-/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than [`MOST_FILES`] of them
-/// or [`MOST_FOLDER_BYTES`]. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
+/// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than `MOST_FILES` of them
+/// or `MOST_FOLDER_BYTES`. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
@@ -121,10 +121,10 @@ pub const EXPECTED: &str = "expected.verdicts";
 pub const EARLIER_EXPECTED: &str = "expected.toml";
 
 /// Most scenario files of a folder that are read at once.
-pub const MOST_FILES: usize = 10_000;
+pub(crate) const MOST_FILES: usize = 10_000;
 
 /// Most bytes of a folder that is read at once.
-pub const MOST_FOLDER_BYTES: u64 = 64 << 20;
+pub(crate) const MOST_FOLDER_BYTES: u64 = 64 << 20;
 
 /// Most bytes of a text file: ten times a minute of scripted motion at the finest step. As JSON that takes some 16 MB once parsed.
 pub const MOST_BYTES: u64 = 8 << 20;

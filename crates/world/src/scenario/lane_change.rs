@@ -36,14 +36,14 @@ impl LaneChange {
 
     /// Its number: a time in seconds or a gap in metres.
     #[must_use]
-    pub fn value(self) -> f64 {
+    pub(crate) fn value(self) -> f64 {
         match self {
             Self::At(value) | Self::Gap(value) | Self::TimeToCollision(value) => value,
         }
     }
 
     /// The same number, to be changed.
-    pub fn value_mut(&mut self) -> &mut f64 {
+    pub(crate) fn value_mut(&mut self) -> &mut f64 {
         match self {
             Self::At(value) | Self::Gap(value) | Self::TimeToCollision(value) => value,
         }

@@ -17,6 +17,7 @@ mod validate;
 mod vehicle;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +28,8 @@ pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
 pub use speed_dip::{SPEED_DIP_S, speed_dip};
-pub use validate::{MOST_VEHICLE_STEPS, whole_multiple};
+pub(crate) use validate::MOST_VEHICLE_STEPS;
+pub use validate::whole_multiple;
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// The version of the scenario file format this release reads and writes.
@@ -120,7 +122,8 @@ impl Default for Sensors {
 
 /// A valid scenario.
 ///
-/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again.
+/// Read it through [`Scenario::spec`]; change it through [`Scenario::edited`], which checks again. Clones share the data, so runs and
+/// episodes own their scenario.
 ///
 /// ```
 /// use crumple_world::scenario::built_in;
@@ -132,7 +135,7 @@ impl Default for Sensors {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
-    spec: ScenarioSpec,
+    spec: Arc<ScenarioSpec>,
     steps: usize,
 }
 
@@ -161,7 +164,7 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec, steps })
+        Ok(Self { spec: Arc::new(spec), steps })
     }
 
     /// The data of the scenario.
@@ -175,7 +178,7 @@ impl Scenario {
     /// # Errors
     /// [`InvalidField`] if the change makes the scenario invalid.
     pub fn edited(&self, change: impl FnOnce(&mut ScenarioSpec)) -> Result<Self, InvalidField> {
-        let mut spec = self.spec.clone();
+        let mut spec = self.spec().clone();
         change(&mut spec);
         Self::new(spec)
     }

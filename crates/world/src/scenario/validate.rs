@@ -13,7 +13,7 @@ const fn above(min: f64, max: f64) -> Range {
 }
 
 /// Steps times vehicles beyond which a scenario is refused: a trace of 120 MB, and some 300 MB as text.
-pub const MOST_VEHICLE_STEPS: usize = 5_000_000;
+pub(crate) const MOST_VEHICLE_STEPS: usize = 5_000_000;
 
 /// Checks a spec and returns its number of steps.
 pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {

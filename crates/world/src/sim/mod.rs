@@ -16,7 +16,8 @@ mod trace;
 
 pub(crate) use lane::SAME_INSTANT_S;
 pub use lockstep::simulate_batch;
-pub use motion::{Motion, closest_gap_m, first_contact};
+pub use motion::Motion;
+pub(crate) use motion::closest_gap_m;
 pub use named::{NamedController, RefusedController, UnknownController};
 pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, Unanswered, VehicleSummary};
 pub use recorder::RecordingLevel;

@@ -33,7 +33,7 @@ impl Motion {
 
     /// When the vehicle comes to rest, in seconds from now; infinite if it does not.
     #[must_use]
-    pub fn stops_after_s(self) -> f64 {
+    pub(crate) fn stops_after_s(self) -> f64 {
         if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
     }
 }
@@ -63,7 +63,7 @@ pub(super) fn may_touch(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
 ///
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
 #[must_use]
-pub fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
+pub(crate) fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap = |front: Motion, rear: Motion| {
         let gap_m = front.position_m - front_length_m - rear.position_m;
         [gap_m, front.speed_mps - rear.speed_mps, front.acceleration_mps2 - rear.acceleration_mps2]
@@ -99,7 +99,7 @@ pub(super) fn first_zero(
 
 /// The smallest gap between two vehicles at any instant after now and up to `dt_s`, in metres.
 #[must_use]
-pub fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
+pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
     closest_gap_until([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
 }
 

@@ -1,4 +1,4 @@
-//! A scenario made ready to run: who drives what, through which estimator, how finely integrated.
+//! Scenarios ready to run: drivers, estimators and integration steps.
 
 use std::sync::{Arc, OnceLock};
 
@@ -136,31 +136,32 @@ pub enum RunError {
 /// let run = Run::new(&scenario, RunOptions::new(idm)).unwrap();
 /// assert!(simulate(&run, RecordingLevel::Summary).outcome.is_safe());
 /// ```
-pub struct Run<'s> {
-    scenario: &'s Scenario,
+pub struct Run {
+    scenario: Scenario,
     options: RunOptions,
     substeps: usize,
     /// Integration step, in seconds.
     dt_s: f64,
     /// Made when the first vehicle needs it: most runs with the true state never do.
-    tuning: OnceLock<EgoTuning>,
+    tuning: OnceLock<Arc<EgoTuning>>,
     /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
     frames: Vec<Option<Frame>>,
 }
 
-impl<'s> Run<'s> {
-    /// Prepares a run.
+impl Run {
+    /// Prepares a run, which shares the data of the scenario.
     ///
     /// # Errors
     /// [`RunError`] if steps do not fit each other, or there would be too many.
-    pub fn new(scenario: &'s Scenario, options: RunOptions) -> Result<Self, RunError> {
+    pub fn new(scenario: &Scenario, options: RunOptions) -> Result<Self, RunError> {
         let step_s = scenario.spec().step_s;
         let substeps = match options.dt_s {
             None => 1,
             Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
         };
         let dt_s = step_s / substeps as f64;
-        let mut run = Self { scenario, options, substeps, dt_s, tuning: OnceLock::new(), frames: Vec::new() };
+        let (tuning, frames) = Default::default();
+        let mut run = Self { scenario: scenario.clone(), options, substeps, dt_s, tuning, frames };
         let found = run.vehicle_samples();
         if found > MOST_VEHICLE_STEPS {
             return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
@@ -195,8 +196,8 @@ impl<'s> Run<'s> {
 
     /// The scenario.
     #[must_use]
-    pub fn scenario(&self) -> &'s Scenario {
-        self.scenario
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
     }
 
     /// How it is run.
@@ -227,8 +228,9 @@ impl<'s> Run<'s> {
         step as f64 * self.scenario.spec().step_s + substep as f64 * self.dt_s()
     }
 
-    pub(super) fn tuning(&self) -> &EgoTuning {
-        self.tuning.get_or_init(|| EgoTuning::new(self.scenario.spec().step_s, &self.scenario.spec().sensors))
+    pub(super) fn tuning(&self) -> &Arc<EgoTuning> {
+        let spec = self.scenario.spec();
+        self.tuning.get_or_init(|| Arc::new(EgoTuning::new(spec.step_s, &spec.sensors)))
     }
 
     fn shield_frames(&self) -> Result<Vec<Option<Frame>>, RunError> {
@@ -267,8 +269,8 @@ impl<'s> Run<'s> {
         })
     }
 
-    /// Who drives vehicle `index`.
-    pub(super) fn driver(&self, index: usize) -> ActiveDriver<'s> {
+    /// Starts the driver of vehicle `index`.
+    pub(super) fn driver(&self, index: usize) -> ActiveDriver<&LeadProfile> {
         match &self.scenario.vehicles()[index].driver {
             Driver::Profile(profile) => ActiveDriver::Profile(profile),
             Driver::Controller(spec) => {
@@ -319,11 +321,11 @@ impl<'s> Run<'s> {
     }
 
     pub(super) fn actuator(&self, index: usize) -> Actuator {
-        Actuator::new(self.scenario, index)
+        Actuator::new(&self.scenario, index)
     }
 
     pub(super) fn disturbance(&self, index: usize) -> Option<Disturbance> {
-        Disturbance::new(self.scenario, index)
+        Disturbance::new(&self.scenario, index)
     }
 
     /// Everybody at the start.
@@ -346,9 +348,9 @@ impl<'s> Run<'s> {
     }
 }
 
-/// Whoever decides a vehicle's acceleration.
-pub(super) enum ActiveDriver<'s> {
-    Profile(&'s LeadProfile),
+/// Driver of one vehicle of a run; `P` is a profile, borrowed or owned.
+pub(super) enum ActiveDriver<P> {
+    Profile(P),
     Controller(AnyController),
 }
 

@@ -17,7 +17,7 @@ use super::{RecordingLevel, Run, Simulated, Stepper};
 /// assert_eq!(result.trace.unwrap().vehicles.len(), 3);
 /// ```
 #[must_use]
-pub fn simulate(run: &Run<'_>, keep: RecordingLevel) -> Simulated {
+pub fn simulate(run: &Run, keep: RecordingLevel) -> Simulated {
     let mut stepper = Stepper::new(run, keep);
     while !stepper.has_ended() {
         stepper.step();

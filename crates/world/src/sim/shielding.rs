@@ -77,7 +77,7 @@ pub(super) fn interventions(controller: &AnyController, vehicle: usize, step_s: 
     shield.overrides().iter().map(told).collect()
 }
 
-impl Run<'_> {
+impl Run {
     /// What a shield of vehicle `index` may take for granted.
     ///
     /// # Errors

@@ -14,16 +14,16 @@ use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run,
 use crate::control::{Controller, ControllerFailure};
 use crate::estimate::EgoEstimator;
 use crate::observation::Observation;
+use crate::scenario::LeadProfile;
 
 /// A run under way.
 ///
 /// [`step`](Self::step) lets everybody decide and move. Before it, [`observe`](Self::observe) says what a vehicle sees and
 /// [`command`](Self::command) decides for it: its own driver is then not asked.
-pub struct Stepper<'r, 's> {
-    run: &'r Run<'s>,
+pub struct Stepper {
     pace: Pace,
     platoon: Platoon,
-    loops: Vec<VehicleLoop<'s>>,
+    loops: Vec<VehicleLoop>,
     decided_mps2: Vec<f64>,
     /// One a vehicle; none of them where nobody wants summaries.
     tallies: Vec<Tally>,
@@ -58,7 +58,7 @@ struct Pace {
 }
 
 impl Pace {
-    fn of(run: &Run<'_>) -> Self {
+    fn of(run: &Run) -> Self {
         Self {
             step_s: run.scenario().spec().step_s,
             dt_s: run.dt_s(),
@@ -68,23 +68,22 @@ impl Pace {
         }
     }
 
-    /// As [`Run::time_s`] has it.
+    /// Returns the same as [`Run::time_s`].
     fn time_s(self, step: usize, substep: usize) -> f64 {
         step as f64 * self.step_s + substep as f64 * self.dt_s
     }
 }
 
-impl<'r, 's> Stepper<'r, 's> {
+impl Stepper {
     /// The run at its start.
     #[must_use]
-    pub fn new(run: &'r Run<'s>, keep: RecordingLevel) -> Self {
+    pub fn new(run: &Run, keep: RecordingLevel) -> Self {
         let platoon = run.platoon();
-        let loops: Vec<VehicleLoop<'s>> =
+        let loops: Vec<VehicleLoop> =
             (0..platoon.motion.len()).map(|index| VehicleLoop::new(run, index, &platoon)).collect();
         let mut tallies = vec![Tally::NOTHING_YET; loops.len()];
         see_ttc(&mut tallies, &platoon);
         Self {
-            run,
             pace: Pace::of(run),
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             decided_mps2: vec![0.0; loops.len()],
@@ -101,7 +100,7 @@ impl<'r, 's> Stepper<'r, 's> {
     /// The same for somebody who looks at each step, as a learner does: smallest times to collision and hardest brakings are not
     /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
     #[must_use]
-    pub fn without_summaries(run: &'r Run<'s>) -> Self {
+    pub fn without_summaries(run: &Run) -> Self {
         Self { tallies: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
     }
 
@@ -138,7 +137,7 @@ impl<'r, 's> Stepper<'r, 's> {
     /// What vehicle `index` sees now; none for a vehicle that does not exist.
     pub fn observe(&mut self, index: usize) -> Option<Observation> {
         let vehicle = self.loops.get_mut(index)?;
-        Some(vehicle.observe(&self.platoon, index, self.run))
+        Some(vehicle.observe(&self.platoon, index))
     }
 
     /// Decides the acceleration that vehicle `index` wants in the next step, in m/s².
@@ -204,11 +203,10 @@ impl<'r, 's> Stepper<'r, 's> {
 
     /// Lets everybody decide.
     fn decide(&mut self) {
-        let run = self.run;
         let span_s = self.span_s();
         // Everybody decides on the state at the start of the step; only then does anybody move.
         for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
-            match vehicle.decide(&self.platoon, index, run, span_s) {
+            match vehicle.decide(&self.platoon, index, span_s) {
                 Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
                 Err(failure) => {
                     let failed = FailedController { time_s: span_s[0], vehicle: index, failure };
@@ -263,11 +261,11 @@ impl<'r, 's> Stepper<'r, 's> {
     #[must_use]
     pub fn finish(mut self) -> Simulated {
         if let Some(trace) = &mut self.trace
-            && (self.impacts.is_empty() || self.run.options().after_contact == AfterContact::Continue)
+            && (self.impacts.is_empty() || self.pace.after_contact == AfterContact::Continue)
         {
-            trace.sample(self.run.time_s(self.step, 0), self.platoon.motion.iter().copied());
+            trace.sample(self.pace.time_s(self.step, 0), self.platoon.motion.iter().copied());
         }
-        let step_s = self.run.scenario().spec().step_s;
+        let step_s = self.pace.step_s;
         let interventions = self.loops.iter().enumerate().flat_map(|(index, vehicle)| match &vehicle.driver {
             ActiveDriver::Controller(controller) => interventions(controller, index, step_s),
             ActiveDriver::Profile(_) => Vec::new(),
@@ -311,8 +309,8 @@ fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
 }
 
 /// The control loop of one vehicle: from what is true to the acceleration the vehicle has.
-struct VehicleLoop<'s> {
-    driver: ActiveDriver<'s>,
+struct VehicleLoop {
+    driver: ActiveDriver<LeadProfile>,
     /// Apart, and nothing where the truth is seen: of a thousand runs under way what every step needs should lie close together.
     estimator: Option<Box<EgoEstimator>>,
     actuator: Actuator,
@@ -325,10 +323,13 @@ struct VehicleLoop<'s> {
     command_mps2: Option<f64>,
 }
 
-impl<'s> VehicleLoop<'s> {
-    fn new(run: &Run<'s>, index: usize, platoon: &Platoon) -> Self {
+impl VehicleLoop {
+    fn new(run: &Run, index: usize, platoon: &Platoon) -> Self {
         Self {
-            driver: run.driver(index),
+            driver: match run.driver(index) {
+                ActiveDriver::Profile(profile) => ActiveDriver::Profile(profile.clone()),
+                ActiveDriver::Controller(controller) => ActiveDriver::Controller(controller),
+            },
             estimator: run.estimator(index, platoon).map(Box::new),
             actuator: run.actuator(index),
             disturbance: run.disturbance(index),
@@ -338,7 +339,7 @@ impl<'s> VehicleLoop<'s> {
         }
     }
 
-    fn observe(&mut self, platoon: &Platoon, index: usize, run: &Run<'_>) -> Observation {
+    fn observe(&mut self, platoon: &Platoon, index: usize) -> Observation {
         if let Some(seen) = self.seen {
             return seen;
         }
@@ -348,26 +349,20 @@ impl<'s> VehicleLoop<'s> {
                 let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
                 if neighbours != self.followed {
                     let changed = [0, 1].map(|side| neighbours[side] != self.followed[side]);
-                    estimator.follow_others(run.tuning(), &truth, changed);
+                    estimator.follow_others(&truth, changed);
                     self.followed = neighbours;
                 }
-                estimator.observe(run.tuning(), &truth)
+                estimator.observe(&truth)
             }
             None => truth.observation,
         };
         *self.seen.insert(seen)
     }
 
-    fn decide(
-        &mut self,
-        platoon: &Platoon,
-        index: usize,
-        run: &Run<'_>,
-        [from_s, to_s]: [f64; 2],
-    ) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, platoon: &Platoon, index: usize, [from_s, to_s]: [f64; 2]) -> Result<f64, ControllerFailure> {
         // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
         if self.estimator.is_some() {
-            self.observe(platoon, index, run);
+            self.observe(platoon, index);
         }
         let seen = self.seen.take();
         let speed_mps = platoon.motion[index].speed_mps;

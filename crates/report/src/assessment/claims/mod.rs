@@ -207,7 +207,7 @@ impl Property {
 
     /// What it means that it does not hold, without of whom and where.
     #[must_use]
-    pub fn violated_words(&self) -> String {
+    pub(crate) fn violated_words(&self) -> String {
         match self {
             Self::NoContact => "contact".to_owned(),
             Self::NoContactAhead => "contact with the vehicle ahead".to_owned(),
@@ -225,13 +225,13 @@ impl Property {
 
     /// Whether what holds of this holds of `weaker`.
     #[must_use]
-    pub fn implies(&self, weaker: &Self) -> bool {
+    pub(crate) fn implies(&self, weaker: &Self) -> bool {
         self == weaker || (*self == Self::NoContact && *weaker == Self::NoContactAhead)
     }
 
     /// Whether it is said of every run of a domain, so that one run refutes it.
     #[must_use]
-    pub fn is_of_every_run(&self) -> bool {
+    pub(crate) fn is_of_every_run(&self) -> bool {
         matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking | Self::Keeps { .. })
     }
 }
@@ -265,7 +265,7 @@ impl Domain {
 
     /// Whether `part` lies in this one, all of it.
     #[must_use]
-    pub fn covers(&self, part: &Self) -> bool {
+    pub(crate) fn covers(&self, part: &Self) -> bool {
         match (self, part) {
             (Self::Space { space }, Self::Draws { space: of, .. } | Self::Search { space: of, .. }) => space == of,
             (Self::Scenarios { all, .. }, Self::Scenarios { all: some, .. }) => {

@@ -152,7 +152,7 @@ impl Strength {
     /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
     /// is a failure (`refutes`); of one about how it drives, nothing to go by.
     #[must_use]
-    pub fn of_answered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
+    pub(crate) fn of_answered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
         match unanswered {
             None => Self::of(failures, runs),
             Some(Unanswered { runs: unanswered, because }) => {
@@ -164,7 +164,7 @@ impl Strength {
     /// Of the claim that it fails in fewer of the same runs than another: how often each did, and how many of its runs were cut
     /// short, of which it is not known how they would have ended.
     #[must_use]
-    pub fn compared([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
+    pub(crate) fn compared([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
         let (own_most, other_most) = (own + own_cut_short, other + other_cut_short);
         if own_cut_short + other_cut_short == 0 {
             Self::Compared { own, other, runs }
@@ -179,7 +179,7 @@ impl Strength {
 
     /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
     #[must_use]
-    pub fn of_rate(&self, percent: f64) -> Option<Self> {
+    pub(crate) fn of_rate(&self, percent: f64) -> Option<Self> {
         let Self::Between { lower_percent, upper_percent, confidence_percent, .. } = *self else { return None };
         // Rounded outwards, so that what is shown decides. A bound of little confidence decides nothing.
         Some(if confidence_percent.value() < LEAST_CONFIDENCE_PERCENT {
@@ -195,7 +195,7 @@ impl Strength {
 
     /// Whether it says that the claim does not hold.
     #[must_use]
-    pub fn is_refutation(&self) -> bool {
+    pub(crate) fn is_refutation(&self) -> bool {
         match self {
             Self::Refuted { .. } | Self::Found { .. } | Self::Defeated { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
@@ -206,7 +206,7 @@ impl Strength {
 
     /// Whether it says that the claim holds, and not only that it was tried.
     #[must_use]
-    pub fn is_assurance(&self) -> bool {
+    pub(crate) fn is_assurance(&self) -> bool {
         matches!(self, Self::Proved { .. } | Self::Bounded { .. } | Self::Counted { .. })
     }
 

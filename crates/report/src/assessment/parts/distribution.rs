@@ -134,7 +134,7 @@ pub(super) struct Draw {
 impl Sampled {
     /// Draws that its controller gave no answer in.
     #[must_use]
-    pub fn silent(&self) -> u64 {
+    pub(crate) fn silent(&self) -> u64 {
         self.unanswered.as_ref().map_or(0, |silent| silent.runs)
     }
 

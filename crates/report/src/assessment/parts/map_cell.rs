@@ -22,7 +22,7 @@ impl MapCell {
 
     /// Its letter in the evidence.
     #[must_use]
-    pub fn letter(self) -> char {
+    pub(crate) fn letter(self) -> char {
         match self {
             Self::NoContact => '.',
             Self::Avoidable => 'x',
@@ -43,7 +43,7 @@ impl MapCell {
     }
 }
 
-/// A row of cells from left to right; in the evidence a text of one letter a cell, see [`MapCell::letter`].
+/// A row of cells from left to right; in the evidence a text of one letter a cell, see `MapCell::letter`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(try_from = "String", into = "String")]

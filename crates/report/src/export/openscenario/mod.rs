@@ -23,10 +23,8 @@ use crumple_world::sim::Trace;
 
 use crate::draw::printable;
 
-pub use polyline::{POSITION_TOLERANCE_M, SPEED_TOLERANCE_MPS};
-
 /// Most vertices of one file: 100 MB of them.
-pub const MOST_VERTICES: usize = 1_000_000;
+pub(crate) const MOST_VERTICES: usize = 1_000_000;
 
 /// A scenario for other simulators.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -75,12 +73,12 @@ fn in_one_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
 /// What every vehicle did: one polyline each, in absolute time. Where the run ended in a contact, so do they; a second later
 /// a last vertex holds the place, so that no simulator takes over before the scenario stops.
 ///
-/// Read back, positions are within [`POSITION_TOLERANCE_M`], and speeds over more than one step within [`SPEED_TOLERANCE_MPS`].
+/// Read back, positions are within `POSITION_TOLERANCE_M`, and speeds over more than one step within `SPEED_TOLERANCE_MPS`.
 /// `controller` names what drove the vehicles under test, for the header; a description of the scenario may name another one. `road`
 /// is the name of the OpenDRIVE file as the scenario gives it.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// [`OpenScenarioError::TooLong`] for more than `MOST_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
 /// lane.
 pub fn trajectories(
     scenario: &Scenario,
@@ -110,7 +108,7 @@ pub fn trajectories(
 /// Noise of a scripted vehicle's acceleration is left out.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than [`MOST_VERTICES`], [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// [`OpenScenarioError::TooLong`] for more than `MOST_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
 /// lane, and [`OpenScenarioError::Script`] for a script that cannot be driven alone, which no valid scenario has.
 pub fn actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     in_one_lane(scenario)?;

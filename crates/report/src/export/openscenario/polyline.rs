@@ -9,10 +9,10 @@ use super::{Xml, leaf, number, reference_m, within};
 use crumple_world::sim::{Trace, Track};
 
 /// How far a polyline may be from where the vehicle was, in metres.
-pub const POSITION_TOLERANCE_M: f64 = 0.002;
+pub(crate) const POSITION_TOLERANCE_M: f64 = 0.002;
 /// How far the speed along a polyline may be from the vehicle's, in m/s, wherever it passes over more than one step: within one,
 /// it is the mean speed.
-pub const SPEED_TOLERANCE_MPS: f64 = 0.005;
+pub(crate) const SPEED_TOLERANCE_MPS: f64 = 0.005;
 /// Least time between two vertices, in seconds: rounding must not decide the speed between them.
 const LEAST_STEP_S: f64 = 1e-6;
 /// How long after the end the last vertex holds the place, in seconds.

@@ -46,7 +46,7 @@ impl Aim {
     /// What a search is told, smaller being better: the robustness where nothing fails; below that, for failures, a number
     /// that is the smaller the nearer they are to the aim.
     #[must_use]
-    pub fn value(self, evaluated: &Evaluated) -> f64 {
+    pub(crate) fn value(self, evaluated: &Evaluated) -> f64 {
         let robustness = evaluated.verdict.robustness;
         let fails = robustness < 0.0;
         match self {

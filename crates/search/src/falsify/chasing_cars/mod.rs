@@ -21,20 +21,20 @@ use crumple_world::measure::stl::{Formula, MonitorError, ParseError, Signals, Si
 
 pub use benchmark::{Benchmark, Counterexample, Row, Run, benchmark};
 pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
-pub use replay::{finer_robustness, replayed_robustness};
+pub(crate) use replay::{finer_robustness, replayed_robustness};
 
 /// Time step in seconds.
-pub const STEP_S: f64 = 0.01;
+pub(crate) const STEP_S: f64 = 0.01;
 /// Number of steps: 100 s.
-pub const STEPS: usize = 10_000;
+pub(crate) const STEPS: usize = 10_000;
 /// Pieces of each input.
 pub const PIECES: usize = 20;
 const STEPS_A_PIECE: usize = STEPS / PIECES;
 /// Steps of a finer simulation for each step. The cars look at their guards as often: what is violated at one step need not be at the
 /// other.
-pub const FINER: usize = 5;
+pub(crate) const FINER: usize = 5;
 /// A counterexample violates its specification by more than this at both steps, in metres.
-pub const MARGIN_M: f64 = 0.01;
+pub(crate) const MARGIN_M: f64 = 0.01;
 
 /// The six specifications: names and formulas over y1 to y5.
 ///

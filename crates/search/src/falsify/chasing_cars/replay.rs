@@ -9,7 +9,7 @@ use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
-pub fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+pub(crate) fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
     Ok(naive_robustness(formula, &replayed(inputs, 1)?, 0)?)
 }
 
@@ -17,7 +17,7 @@ pub fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, Ch
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
-pub fn finer_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+pub(crate) fn finer_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
     Ok(formula.robustness(&replayed(inputs, FINER)?)?)
 }
 

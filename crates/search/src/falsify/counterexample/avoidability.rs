@@ -121,7 +121,7 @@ impl Avoidability {
 
     /// Why it is undecided, if it is.
     #[must_use]
-    pub fn undecided_because(&self) -> Option<&str> {
+    pub(crate) fn undecided_because(&self) -> Option<&str> {
         if let Self::Undecided { reason } = self { Some(reason) } else { None }
     }
 

@@ -13,7 +13,7 @@ use crumple_world::scenario::file::{self, FileError};
 use crumple_world::sim::{NamedController, UnknownController};
 
 /// The version of the format of recorded verdicts.
-pub const EXPECTED_VERSION: u32 = 1;
+pub(crate) const EXPECTED_VERSION: u32 = 1;
 
 /// The file [`EXPECTED`](file::EXPECTED) beside scenario files: the verdict recorded for each.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

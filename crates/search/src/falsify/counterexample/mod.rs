@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 
 pub use avoidability::{Avoidability, AvoidabilityClass, Classed};
 pub(in crate::falsify) use examine::Examiner;
-pub use expected::{EXPECTED_VERSION, Expected, ExpectedFile, ReplayError, Replayed};
+pub use expected::{Expected, ExpectedFile, ReplayError, Replayed};
 pub use record::SAME_WITHIN;
 pub(in crate::falsify) use record::{Examined, ExaminedRow, Recorder};
 pub use records::{RecordedVerdicts, VerdictRecords};

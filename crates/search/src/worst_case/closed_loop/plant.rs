@@ -182,10 +182,10 @@ impl<'s> Plant<'s> {
         reduce: impl Fn(Simulated) -> R + Sync,
     ) -> Vec<Option<R>> {
         let scripted: Vec<Option<Scenario>> = profiles.iter().map(|profile| self.scripted(profile)).collect();
-        let runs: Vec<Option<Run<'_>>> =
+        let runs: Vec<Option<Run>> =
             scripted.iter().map(|scenario| Run::new(scenario.as_ref()?, by_script()).ok()).collect();
         let is_valid: Vec<bool> = runs.iter().map(Option::is_some).collect();
-        let runs: Vec<Run<'_>> = runs.into_iter().flatten().collect();
+        let runs: Vec<Run> = runs.into_iter().flatten().collect();
         self.simulations += runs.len();
         let mut results = simulate_batch(&runs, level, |_, simulated| reduce(simulated)).into_iter();
         is_valid.into_iter().map(|is_valid| if is_valid { results.next() } else { None }).collect()

@@ -12,7 +12,7 @@ use crate::process::ProcessProblem;
 use crate::process::protocol::{self, Ask, AskAll, Reset, Seed};
 
 /// Asks a process once every decision interval and holds its answer in between.
-pub struct ProcessDriver {
+pub(crate) struct ProcessDriver {
     controller: Arc<ProcessController>,
     hello: Arc<[u8]>,
     /// Its own for the run; none if it answers in batches, when one is borrowed for each decision.
@@ -38,7 +38,7 @@ impl ProcessDriver {
     ///
     /// # Errors
     /// [`ControllerFailure`] if it cannot be started, or is not ready.
-    pub fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
+    pub(crate) fn new(controller: Arc<ProcessController>, ego: &Ego, seed: u64) -> Result<Self, ControllerFailure> {
         let hello = controller.hello(ego);
         let taken = controller.take(&hello)?;
         let reused = taken.asked > 0;

@@ -14,7 +14,7 @@ use std::time::Duration;
 use rand::Rng as _;
 use serde::Serialize;
 
-pub use self::driver::ProcessDriver;
+pub(crate) use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
 pub use self::fmu::fmu_host;
 pub use self::fmu::{FmuProblem, Wiring};
@@ -220,7 +220,7 @@ impl ProcessController {
     ///
     /// # Errors
     /// [`ControllerFailure`] if there is none, or it does not introduce itself.
-    pub fn try_start(&self) -> Result<(), ControllerFailure> {
+    pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
         let ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
         let greeted = self.start(&self.hello(&ego))?;
         // Dropped, so that it ends by itself: a killed FMU host leaves its unpacked folder behind.

@@ -12,7 +12,7 @@ pub enum NamedBy {
     File,
 }
 
-/// Permission to start the program of one controller. [`NamedBy::permission`] alone hands it out, and
+/// Permission to start the program of one controller. `NamedBy::permission` alone hands it out, and
 /// [`ProcessController::new`](super::ProcessController::new) takes it.
 #[derive(Debug, Clone, Copy)]
 pub struct StartPermission(());
@@ -47,7 +47,7 @@ impl NamedBy {
     ///
     /// # Errors
     /// [`StartRefused`] for a name from a file, unless [`allow_external`] was called.
-    pub fn permission(self, place: impl FnOnce() -> String) -> Result<StartPermission, StartRefused> {
+    pub(crate) fn permission(self, place: impl FnOnce() -> String) -> Result<StartPermission, StartRefused> {
         match self {
             Self::User => Ok(StartPermission(())),
             Self::File if is_external_allowed() => Ok(StartPermission(())),

@@ -67,7 +67,7 @@ pub struct Frame<R = f64> {
     /// The vehicle behind, if there is one.
     pub behind: Option<Behind>,
     /// Demanded on top of the kernel's gap, in metres: it pays for rounding, and keeps the gap from being exactly zero. Half
-    /// of it is for what comes after an action was let through, see [`Travel::margin_m`](super::Travel::margin_m).
+    /// of it is for what comes after an action was let through, see `Travel::margin_m`.
     pub margin_m: R,
 }
 
@@ -75,7 +75,7 @@ impl<R: Real> Frame<R> {
     /// The kernel against the vehicle ahead. What noise may take away from the own brake is not counted on.
     #[must_use]
     #[inline]
-    pub fn kernel(&self) -> Kernel<R> {
+    pub(crate) fn kernel(&self) -> Kernel<R> {
         Kernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }
     }
 

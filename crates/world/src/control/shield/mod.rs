@@ -45,7 +45,8 @@ pub use admission::ShieldState;
 pub use frame::{Behind, ErrorBounds, Frame, ShieldSettings};
 pub use kernel::{Kernel, largest_closing_m, moved};
 pub use real::Real;
-pub use rounding::{MARGIN_M, MOST_MARGIN_M, Travel};
+pub use rounding::MARGIN_M;
+pub(crate) use rounding::{MOST_MARGIN_M, Travel};
 
 use std::collections::VecDeque;
 
@@ -55,7 +56,7 @@ use crate::observation::Observation;
 /// Successive steps in which a shield braked instead of doing what its controller wanted, or in which the state was outside the kernel,
 /// where a shield brakes fully whatever its controller wants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Override {
+pub(crate) struct Override {
     /// First step.
     pub first_step: usize,
     /// Last step.
@@ -67,7 +68,7 @@ pub struct Override {
 }
 
 /// A controller behind a shield.
-pub struct Shield {
+pub(crate) struct Shield {
     controller: Box<AnyController>,
     frame: Frame,
     /// Commands under way to the actuator, oldest first.
@@ -81,7 +82,7 @@ pub struct Shield {
 impl Shield {
     /// Puts a controller behind a shield.
     #[must_use]
-    pub fn new(controller: AnyController, frame: Frame) -> Self {
+    pub(crate) fn new(controller: AnyController, frame: Frame) -> Self {
         Self {
             controller: Box::new(controller),
             pending: VecDeque::from(vec![0.0; frame.delay_steps]),
@@ -94,7 +95,7 @@ impl Shield {
 
     /// When the shield braked instead, in order.
     #[must_use]
-    pub fn overrides(&self) -> &[Override] {
+    pub(crate) fn overrides(&self) -> &[Override] {
         &self.overrides
     }
 

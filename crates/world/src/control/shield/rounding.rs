@@ -6,7 +6,7 @@ use super::Frame;
 pub const MARGIN_M: f64 = 1e-6;
 
 /// A margin beyond which a shield refuses to vouch for a vehicle, in metres: rounding would no longer be a detail.
-pub const MOST_MARGIN_M: f64 = 0.1;
+pub(crate) const MOST_MARGIN_M: f64 = 0.1;
 
 /// Half the distance of 1 from the next number: what one operation may be off by, as a share of its result.
 const U: f64 = 0.5 * f64::EPSILON;
@@ -17,7 +17,7 @@ const PAD: f64 = 1.0 + 1e-8;
 
 /// How far, how fast and in how many steps a vehicle and the one ahead of it may travel: bounds over a whole run.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Travel {
+pub(crate) struct Travel {
     /// X, the largest distance from the origin of any bumper of the two, in metres.
     pub position_m: f64,
     /// V, the highest speed of the two, in m/s.
@@ -110,7 +110,7 @@ impl Travel {
     /// What the estimator computes is not counted here: the error bounds are taken as they are given. Products below 10⁻³⁰⁸ are rounded by
     /// more than a share u, and are no matter for a gap.
     #[must_use]
-    pub fn margin_m(&self, frame: &Frame) -> f64 {
+    pub(crate) fn margin_m(&self, frame: &Frame) -> f64 {
         let Self { steps, substeps, .. } = *self;
         let speed_mps = PAD * self.speed_mps;
         let brake_mps2 = frame.kernel().own_brake_mps2;

@@ -120,7 +120,7 @@ impl Comparison {
 
     /// How the sum is compared.
     #[must_use]
-    pub fn relation(&self) -> Relation {
+    pub(crate) fn relation(&self) -> Relation {
         self.relation
     }
 
@@ -134,13 +134,13 @@ impl Comparison {
 impl Relation {
     /// Whether equality does not satisfy it.
     #[must_use]
-    pub fn is_strict(self) -> bool {
+    pub(crate) fn is_strict(self) -> bool {
         matches!(self, Self::Below | Self::Above)
     }
 
     /// Whether larger sums satisfy it better.
     #[must_use]
-    pub fn wants_more(self) -> bool {
+    pub(crate) fn wants_more(self) -> bool {
         matches!(self, Self::Above | Self::AtLeast)
     }
 }
@@ -202,7 +202,7 @@ impl Formula {
 
     /// Returns the largest parts that no temporal operator governs. They are judged at the first sample only.
     #[must_use]
-    pub fn first_sample_parts(&self) -> Vec<&Self> {
+    pub(crate) fn first_sample_parts(&self) -> Vec<&Self> {
         if !self.has_temporal_operator() {
             return vec![self];
         }

@@ -53,5 +53,6 @@ pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};
 pub use monitor::MonitorError;
 pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;
-pub use parse::{ParseError, SyntaxProblem, signal_column};
+pub(crate) use parse::signal_column;
+pub use parse::{ParseError, SyntaxProblem};
 pub use signals::{Signals, SignalsError};

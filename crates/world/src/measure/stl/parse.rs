@@ -111,7 +111,7 @@ impl FromStr for Formula {
 
 /// The column, counted in characters from 1, at which a text first names a signal.
 #[must_use]
-pub fn signal_column(text: &str, name: &str) -> Option<usize> {
+pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
     let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
     tokens(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
 }

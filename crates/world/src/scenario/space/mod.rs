@@ -175,7 +175,7 @@ impl Parameter {
 
     /// Where in [0, 1] a value lies.
     #[must_use]
-    pub fn coordinate(&self, value: f64) -> f64 {
+    pub(crate) fn coordinate(&self, value: f64) -> f64 {
         self.marginal.coordinate(value)
     }
 

@@ -10,11 +10,11 @@ use crate::sim::recorder::finished;
 use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, Simulated, Trace};
 
 /// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
-pub(super) struct Block<'a, 's> {
+pub(super) struct Block<'a> {
     arch: Arch,
     keep: RecordingLevel,
-    lanes: Vec<Lane<'a, 's>>,
-    columns: Vec<Column<'s>>,
+    lanes: Vec<Lane<'a>>,
+    columns: Vec<Column<'a>>,
     /// Runs in which vehicles have touched.
     touched: Runs,
     /// The step at which the next run ends, if no contact ends one before.
@@ -22,9 +22,9 @@ pub(super) struct Block<'a, 's> {
 }
 
 /// What belongs to one run.
-pub(super) struct Lane<'a, 's> {
+pub(super) struct Lane<'a> {
     index: usize,
-    pub(super) run: &'a Run<'s>,
+    pub(super) run: &'a Run,
     steps: usize,
     impacts: Vec<Impact>,
     trace: Option<Trace>,
@@ -38,8 +38,8 @@ struct Exact {
     ended_s: Option<f64>,
 }
 
-impl<'a, 's> Block<'a, 's> {
-    pub(super) fn new(arch: Arch, runs: &'a [Run<'s>], members: &[usize], keep: RecordingLevel) -> Self {
+impl<'a> Block<'a> {
+    pub(super) fn new(arch: Arch, runs: &'a [Run], members: &[usize], keep: RecordingLevel) -> Self {
         let platoons: Vec<Platoon> = members.iter().map(|&index| runs[index].platoon()).collect();
         let lanes: Vec<_> = members
             .iter()

@@ -19,8 +19,8 @@ use crate::sim::shielding::interventions;
 use crate::sim::{Intervention, VehicleSummary};
 
 /// One vehicle position in all runs.
-pub(super) struct Column<'s> {
-    drivers: Drivers<'s>,
+pub(super) struct Column<'a> {
+    drivers: Drivers<'a>,
     /// Empty if everybody sees the truth.
     estimator: Vec<EgoEstimator>,
     /// Empty if every vehicle responds at once and fully.
@@ -44,8 +44,8 @@ pub(super) struct Column<'s> {
     hardest_brake_mps2: PerRun,
 }
 
-impl<'s> Column<'s> {
-    pub(super) fn new(lanes: &[Lane<'_, 's>], platoons: &[Platoon], vehicle: usize) -> Self {
+impl<'a> Column<'a> {
+    pub(super) fn new(lanes: &[Lane<'a>], platoons: &[Platoon], vehicle: usize) -> Self {
         let of = |take: &dyn Fn(&Platoon) -> f64| PerRun::of(platoons.iter().map(take));
         let actuators: Vec<_> = lanes.iter().map(|lane| lane.run.actuator(vehicle)).collect();
         let estimator: Vec<_> =
@@ -85,7 +85,7 @@ impl<'s> Column<'s> {
     pub(super) fn decide(
         &mut self,
         arch: Arch,
-        lanes: &[Lane<'_, 's>],
+        lanes: &[Lane<'a>],
         [front, behind]: [Option<&Self>; 2],
         span_s: [f64; 2],
         touched: Runs,
@@ -130,7 +130,7 @@ impl<'s> Column<'s> {
     fn command(
         &mut self,
         arch: Arch,
-        lanes: &[Lane<'_, 's>],
+        lanes: &[Lane<'a>],
         [front, behind]: [Option<&Self>; 2],
         span_s: [f64; 2],
     ) -> Vec<(usize, ControllerFailure)> {
@@ -148,7 +148,7 @@ impl<'s> Column<'s> {
             let estimator = &mut self.estimator;
             let see = |run: usize| {
                 let truth = TrueState { position_m: own.position_m[run], observation: view.observation(run) };
-                estimator[run].observe(lanes[run].run.tuning(), &truth)
+                estimator[run].observe(&truth)
             };
             self.drivers.command(arch, span_s, own.speed_mps, see, commands_mps2, &mut failed);
         }

@@ -10,6 +10,7 @@ use crate::control::{
     with_controllers,
 };
 use crate::observation::Observation;
+use crate::scenario::LeadProfile;
 use crate::sim::run::ActiveDriver;
 
 macro_rules! define {
@@ -26,11 +27,11 @@ macro_rules! define {
             /// From outside.
             Custom(Vec<ZeroOrderHold>),
             /// Drivers of several kinds, or behind shields.
-            Mixed(Vec<ActiveDriver<'s>>),
+            Mixed(Vec<ActiveDriver<&'s LeadProfile>>),
         }
 
         impl<'s> Drivers<'s> {
-            pub(super) fn new(drivers: Vec<ActiveDriver<'s>>) -> Self {
+            pub(super) fn new(drivers: Vec<ActiveDriver<&'s LeadProfile>>) -> Self {
                 /// The drivers back, unless all of them are as the pattern says.
                 macro_rules! unless_all {
                     ($drivers:ident, $pattern:pat => $driver:ident, $all:ident => $sorted:expr) => {
@@ -121,10 +122,10 @@ with_controllers!(define);
 
 /// All of one kind, or everything back.
 fn sorted<'s, T>(
-    drivers: Vec<ActiveDriver<'s>>,
-    is: impl Fn(&ActiveDriver<'s>) -> bool,
-    take: impl Fn(ActiveDriver<'s>) -> Option<T>,
-) -> Result<Vec<T>, Vec<ActiveDriver<'s>>> {
+    drivers: Vec<ActiveDriver<&'s LeadProfile>>,
+    is: impl Fn(&ActiveDriver<&'s LeadProfile>) -> bool,
+    take: impl Fn(ActiveDriver<&'s LeadProfile>) -> Option<T>,
+) -> Result<Vec<T>, Vec<ActiveDriver<&'s LeadProfile>>> {
     if drivers.iter().all(is) { Ok(drivers.into_iter().filter_map(take).collect()) } else { Err(drivers) }
 }
 

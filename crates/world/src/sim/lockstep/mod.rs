@@ -50,7 +50,7 @@ const MOST_TRACED_SAMPLES: usize = 2_000_000;
 /// assert_eq!(safe.into_iter().filter(|&safe| safe).count(), 0);
 /// ```
 pub fn simulate_batch<R: Send>(
-    runs: &[Run<'_>],
+    runs: &[Run],
     keep: RecordingLevel,
     reduce: impl Fn(usize, Simulated) -> R + Sync,
 ) -> Vec<R> {
@@ -88,7 +88,7 @@ pub fn simulate_batch<R: Send>(
 }
 
 /// Orders runs so that equal ones can share a block.
-fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
+fn compare_shapes(a: &Run, b: &Run) -> Ordering {
     shape(a).cmp(&shape(b)).then_with(|| {
         let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
         a.iter().map(|v| v.driver.name()).cmp(b.iter().map(|v| v.driver.name()))
@@ -96,7 +96,7 @@ fn compare_shapes(a: &Run<'_>, b: &Run<'_>) -> Ordering {
 }
 
 /// What runs of one block must have in common, apart from the kinds of drivers.
-fn shape(run: &Run<'_>) -> (usize, bool, u64, u64, &'static str, &'static str) {
+fn shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
         ControllerKind::Policy(_) => "policy",

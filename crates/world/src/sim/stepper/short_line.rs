@@ -77,7 +77,7 @@ impl<const N: usize> ShortLine<N> {
     }
 }
 
-impl<'s> Stepper<'_, 's> {
+impl Stepper {
     /// As [`drive`](Self::drive) up to the `last` step where the line is of `N` vehicles, as long as nothing needs care.
     pub(super) fn drive_line<const N: usize>(
         &mut self,
@@ -91,16 +91,16 @@ impl<'s> Stepper<'_, 's> {
             return Pause::Undecided;
         }
         let Some(mut line) = self.short_line::<N>() else { return Pause::Undecided };
-        let (run, pace) = (self.run, self.pace);
+        let pace = self.pace;
         let pause = loop {
             let span_s = self.span_s();
-            let Ok(loops) = <&mut [VehicleLoop<'s>; N]>::try_from(&mut *self.loops) else { break Pause::Undecided };
+            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else { break Pause::Undecided };
             let mut decided_mps2 = [0.0; N];
             for (vehicle, (one, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate() {
                 let VehicleLoop { driver, estimator, seen, command_mps2, .. } = one;
                 // Filters take every measurement; who is driven by a script need not look at the truth.
                 if let (None, Some(estimator)) = (&seen, estimator) {
-                    *seen = Some(estimator.observe(run.tuning(), &line.truth(vehicle)));
+                    *seen = Some(estimator.observe(&line.truth(vehicle)));
                 }
                 let looked = seen.as_ref();
                 let has_looked = looked.is_some();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     /// Every step as its moment has it, and the end; driven `together` steps at a time, or each step by itself.
-    fn driven(run: &Run<'_>, together: usize, keep: Option<RecordingLevel>) -> (Vec<(Vec<Motion>, String)>, String) {
+    fn driven(run: &Run, together: usize, keep: Option<RecordingLevel>) -> (Vec<(Vec<Motion>, String)>, String) {
         let index = 1.min(run.scenario().vehicles().len() - 1);
         let mut stepper = keep.map_or_else(|| Stepper::without_summaries(run), |keep| Stepper::new(run, keep));
         let mut moments = Vec::new();

@@ -22,7 +22,7 @@ impl ProcessSetup {
     /// # Errors
     /// [`FmuProblem`] for a file that is no FMU or cannot drive here, for variables that it does not have, and for units that cannot be
     /// converted.
-    pub fn of_fmu(folder: &Path, path: &str, wiring: Wiring) -> Result<Self, FmuProblem> {
+    pub(crate) fn of_fmu(folder: &Path, path: &str, wiring: Wiring) -> Result<Self, FmuProblem> {
         let fmu = Fmu::open(&folder.join(path))?;
         let description = fmu.description();
         let plain = Self::new(Vec::new(), folder);
