@@ -8,14 +8,13 @@ use std::sync::Arc;
 
 use crumple::core::digest::sha256;
 use crumple::report::assessment::{AssessConfig, Store};
-use crumple::search::falsify::{Method, campaign::Aim};
 use crumple::store::disk;
 use crumple::world::control::Ego;
-use crumple::world::observation::{EstimatorKind, Observation};
+use crumple::world::observation::Observation;
 use crumple::world::scenario::{built_in, space::built_in_space};
 use crumple::{
-    AssessmentPlan, Campaign, Controller, ControllerFailure, ControllerSource, NamedController, RecordingLevel, Run,
-    RunOptions, Specification, assess, simulate,
+    AssessmentPlan, Campaign, CampaignOptions, Controller, ControllerFailure, ControllerSource, NamedController, Quiet,
+    RecordingLevel, Run, RunOptions, assess, simulate,
 };
 
 /// Keeps a time gap to the vehicle ahead and brakes softly; gives up where it sees no vehicle ahead.
@@ -60,19 +59,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{name}: {:?}", simulate(&run, RecordingLevel::Summary).outcome);
     }
 
-    let campaign = Campaign {
-        controller: own.clone(),
-        estimator: EstimatorKind::Kalman,
-        space: built_in_space("high-risk").ok_or("not built in")?,
-        specification: Specification::NoContact,
-        contrast: None,
-        method: Method::Auto,
-        aim: Aim::Severest,
-        budget: 200,
-        seed: 0,
-    };
+    let campaign =
+        Campaign { budget: 200, ..Campaign::new(own.clone(), built_in_space("high-risk").ok_or("not built in")?) };
     // Whoever runs the example again goes on with the same campaign: it is known by the controller's identity.
-    let summary = campaign.run(&folder.join("campaign"), true, &mut |_| {})?;
+    let summary =
+        campaign.run(&folder.join("campaign"), CampaignOptions { resume: true, ..Default::default() }, &Quiet)?;
     println!("{}", summary.to_text());
 
     let mut config = AssessConfig::default();
@@ -81,7 +72,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     (config.draws, config.search.budget) = (100, 100);
     let plan = AssessmentPlan::new(config, [own], &folder)?;
     let store = Store::open(&folder.join("evidence"), "own_controller 1", false)?;
-    let assessment = assess(&plan, &store, None, &|_| {})?;
+    let assessment = assess(&plan, &store, None, &Quiet)?;
     for (name, text) in assessment.files()? {
         let path = folder.join(name);
         disk::make_folder(path.parent().unwrap_or(&folder))?;

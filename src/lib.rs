@@ -18,7 +18,7 @@
 //!
 //! | crate | what it holds |
 //! |---|---|
-//! | [`core`] | digests, rounded numbers, quoted text |
+//! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests, shards |
 //! | [`world`] | scenarios, drivers, estimators, two engines with one meaning, measures, recordings |
 //! | [`search`] | worst cases, falsification |
@@ -26,6 +26,7 @@
 //! | [`suites`] | tests after regulations |
 //! | [`learn`] | training, and retraining against counterexamples |
 //! | [`report`] | figures, tables, the assessment |
+//! | [`verify`] | the checker of certificates |
 //!
 //! ## Example
 //!
@@ -50,15 +51,32 @@ pub use crumple_report as report;
 pub use crumple_search as search;
 pub use crumple_store as store;
 pub use crumple_suites as suites;
+pub use crumple_verify as verify;
 pub use crumple_world as world;
 
-pub use crumple_evidence::RatePlan;
-pub use crumple_learn::rl::{TrainingConfig, train};
-pub use crumple_report::assessment::{Assessment, AssessmentPlan, assess};
-pub use crumple_search::falsify::campaign::Campaign;
-pub use crumple_search::worst_case::{attack, avoid};
-pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec};
-pub use crumple_world::measure::Specification;
-pub use crumple_world::scenario::Scenario;
-pub use crumple_world::scenario::space::Space;
-pub use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+pub use crumple_core::observer::{Listener, Observer, Progress, Quiet, Stopped};
+pub use crumple_evidence::{
+    CountProgress, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan, Tally,
+};
+pub use crumple_learn::rl::{Event, HeldOut, Trainer, TrainingConfig, TrainingError, train};
+pub use crumple_report::assessment::{
+    AssessConfig, AssessError, Assessment, AssessmentPlan, ConfigError, Earlier, Store, assess,
+};
+pub use crumple_search::falsify::campaign::{
+    Aim, Campaign, CampaignError, CampaignOptions, CampaignProgress, Log, Summary,
+};
+pub use crumple_search::falsify::{Contrast, Cube, CustomMethod, InvalidMethodName, Method, Search};
+pub use crumple_search::worst_case::{
+    Aim as AttackAim, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
+    Envelope, attack, avoid,
+};
+pub use crumple_verify::{Accepted, Certificate, Rejection, WorkLimit, check, check_with};
+pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
+pub use crumple_world::measure::{Specification, SpecificationError};
+pub use crumple_world::observation::{EstimatorKind, Observation};
+pub use crumple_world::scenario::space::{Space, built_in_space};
+pub use crumple_world::scenario::{InvalidField, Scenario, built_in};
+pub use crumple_world::sim::{
+    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, Trace, simulate,
+    simulate_batch,
+};

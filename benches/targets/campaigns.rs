@@ -1,9 +1,9 @@
 //! What a campaign takes besides its simulations.
 
+use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, Look};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, Look};
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
@@ -27,18 +27,16 @@ pub fn end_to_end(say: &mut dyn FnMut(Figure)) {
         let folder = tempfile::tempdir().expect("a folder");
         let at = folder.path().join("campaign");
         let campaign = Campaign {
-            controller: ControllerSpec::named(controller).expect("built in").into(),
             estimator: EstimatorKind::Truth,
-            space: built_in_space(space).expect("built in"),
-            specification: Specification::NoContact,
-            contrast: None,
             method: Method::Uniform,
-            aim: Aim::Severest,
             budget: BUDGET,
-            seed: 0,
+            ..Campaign::new(
+                ControllerSpec::named(controller).expect("built in"),
+                built_in_space(space).expect("built in"),
+            )
         };
         let start_s = wall_s();
-        campaign.run(&at, false, &mut |_| {}).expect("runs");
+        campaign.run(&at, CampaignOptions::default(), &Quiet).expect("runs");
         let each_s = (wall_s() - start_s) / (2 * BUDGET) as f64;
         let mut look = Look::at(&at).expect("is there");
         while look.evaluations().len() < AGAIN && look.go_on(AGAIN).expect("is whole") {}

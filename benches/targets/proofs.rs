@@ -4,6 +4,7 @@ use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan};
 use crumple_search::worst_case::{AvoidOptions, avoid};
 use crumple_world::scenario::PAPER_STEP_S;
@@ -27,7 +28,7 @@ fn reach(interval_s: f64) -> Figure {
     let spec = BoxSpec::from_toml(BOX, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(Arc::new(widened_reference(interval_s)), &spec).expect("fits");
     let start_s = now_s();
-    let verified = 100.0 * plan.partition(0, |_| {}).expect("fits").shares[0].verified;
+    let verified = 100.0 * plan.partition(0, &Quiet).expect("fits").shares[0].verified;
     let name = format!(
         "reach of a 3 x 256 actor that decides every {interval_s} s, one box, 1500 steps ({verified:.0} % verified)"
     );

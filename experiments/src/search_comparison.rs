@@ -11,12 +11,9 @@
 use std::path::Path;
 
 use crate::Failure;
-use crumple::search::falsify::Method;
-use crumple::search::falsify::campaign::{Aim, Summary};
-use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::built_in_space;
 use crumple::world::sim::NamedController;
-use crumple::{Campaign, Specification};
+use crumple::{Campaign, CampaignOptions, Method, Quiet, Summary};
 
 /// Every built-in space, and who seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
@@ -37,7 +34,7 @@ const MEASURES: [(&str, bool); 3] =
     [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
 
 /// What a method reached by one seed, in the order of [`MEASURES`].
-fn reached(summary: &Summary, method: Method, budget: u64) -> Option<[f64; 3]> {
+fn reached(summary: &Summary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
     let of_method = summary.methods.iter().find(|one| one.method == name)?;
     let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
@@ -71,7 +68,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     if !(1..=10).contains(&seeds) {
         return Err("1 to 10 seeds: the test of chance deals them out in all ways".into());
     }
-    let names = METHODS.map(Method::name).join(" | ");
+    let names = METHODS.each_ref().map(Method::name).join(" | ");
     println!("| space | controller | measure (mean of {seeds} seeds) | {names} | p |");
     println!("|---|---|---|{}---|", "---|".repeat(METHODS.len()));
     for (space, controller) in PROBLEMS {
@@ -81,8 +78,8 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
             let [with_auto, with_cma_es] =
                 [Method::Auto, Method::CmaEs].map(|method| search(space, controller, method, budget, seed));
             let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
-            for (method, found) in METHODS.into_iter().zip(&mut found) {
-                let summary = if method == Method::CmaEs { &with_cma_es } else { &with_auto };
+            for (method, found) in METHODS.iter().zip(&mut found) {
+                let summary = if *method == Method::CmaEs { &with_cma_es } else { &with_auto };
                 let reached = reached(summary, method, budget).ok_or("a method that was not run")?;
                 found.iter_mut().zip(reached).for_each(|(all, one)| all.push(one));
             }
@@ -104,16 +101,14 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
 
 fn search(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Failure> {
     let campaign = Campaign {
-        controller: NamedController::find(controller, Path::new("."))?,
-        estimator: EstimatorKind::Kalman,
-        space: built_in_space(space).ok_or("not built in")?,
-        specification: Specification::NoContact,
-        contrast: None,
         method,
-        aim: Aim::Severest,
         budget,
         seed,
+        ..Campaign::new(
+            NamedController::find(controller, Path::new("."))?,
+            built_in_space(space).ok_or("not built in")?,
+        )
     };
     let folder = tempfile::tempdir()?;
-    Ok(campaign.run(folder.path(), false, &mut |_| {})?)
+    Ok(campaign.run(folder.path(), CampaignOptions::default(), &Quiet)?)
 }

@@ -16,7 +16,6 @@ use crumple_evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
 use crumple_store::shard::Shard;
 use crumple_store::work::{Asked, Work};
 use crumple_world::control::ControllerSpec;
-use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use rayon::prelude::*;
 
@@ -26,12 +25,8 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     };
     let controller = ControllerSpec::named("idm").ok_or("no such controller")?;
     let plan = RatePlan::new(RateConfig {
-        controllers: (controller.into(), None),
-        space: built_in_space("paper").ok_or("no such space")?,
-        seed: 0,
-        estimator: EstimatorKind::Kalman,
-        runs: runs.parse()?,
         confidence: 0.999,
+        ..RateConfig::new(controller, built_in_space("paper").ok_or("no such space")?, runs.parse()?)
     })?;
     let (of, root) = (shards.parse()?, Path::new(folder).join("shards"));
     (1..=of).into_par_iter().try_for_each(|index| write(&plan, Shard::new(index, of)?, &root.join(index.to_string())))

@@ -3,8 +3,9 @@
 //! `cargo run --release -p crumple-experiments -- worst_case_comparison`: the tables of reports/worst-case.md.
 
 use crate::Failure;
+use crumple_core::observer::Quiet;
 use crumple_search::falsify::{Cube, Method};
-use crumple_search::worst_case::{Aim, Envelope, attack, hunt};
+use crumple_search::worst_case::{Aim, Envelope, attack};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
@@ -37,7 +38,7 @@ fn against_samples() {
         let scenario = built_in(name).expect("built in");
         let options = options("baseline", EstimatorKind::Truth);
         let envelope = Envelope::of(&scenario);
-        let mildest = attack(&scenario, &options, Aim::Mildest, envelope, 0).expect("a scripted leader");
+        let mildest = attack(&scenario, &options, Aim::Mildest, envelope, 0, &Quiet).expect("a scripted leader").found;
         let mildest = mildest.expect("the baseline collides");
         for (family, is_scaled) in [("uniform", false), ("scaled", true)] {
             let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
@@ -90,12 +91,11 @@ fn against_searches() {
             let options = options("policy", EstimatorKind::Kalman);
             let envelope = Envelope::of(&scenario);
             let hunted =
-                hunt(&scenario, &options, Aim::Mildest, envelope, BUDGET, &mut |_| std::ops::ControlFlow::Continue(()))
-                    .expect("a scripted leader");
+                attack(&scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
             let own = hunted.found.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = Cube::new([KNOTS]).expect("not empty");
             let told = plain.clone().with_leader(0..KNOTS);
-            let least = |method: Method, cube: &Cube, times: usize| {
+            let least = |method: &Method, cube: &Cube, times: usize| {
                 let budget = times * hunted.evaluations;
                 let least = mildest_of_search(method, cube, seed, &scenario, &options, envelope, budget);
                 if least.is_finite() { format!("{least:.3}") } else { "none".to_owned() }
@@ -103,11 +103,11 @@ fn against_searches() {
             println!(
                 "| {name} | {seed} | {own:.3} | {} | {} | {} | {} | {} | {} |",
                 hunted.evaluations,
-                least(Method::Auto, &plain, 1),
-                least(Method::Auto, &told, 1),
-                least(Method::CmaEs, &plain, 1),
-                least(Method::Uniform, &plain, 1),
-                least(Method::Auto, &plain, 10),
+                least(&Method::Auto, &plain, 1),
+                least(&Method::Auto, &told, 1),
+                least(&Method::CmaEs, &plain, 1),
+                least(&Method::Uniform, &plain, 1),
+                least(&Method::Auto, &plain, 10),
             );
         }
     }
@@ -118,7 +118,7 @@ fn against_searches() {
 /// A point is a deceleration at each knot, linear between them. Robustness is the smallest gap, and of a collision the more
 /// negative the milder it is.
 fn mildest_of_search(
-    method: Method,
+    method: &Method,
     cube: &Cube,
     seed: u64,
     scenario: &Scenario,

@@ -1,12 +1,10 @@
 //! Assessments: which controller is safer, how we know, and where it still fails.
 
 use std::borrow::Cow;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use crumple_report::assessment::{
-    self as report, AssessConfig, AssessmentPlan, ConfigError, Earlier, Store, assess_until,
-};
+use crumple_core::observer::Progress;
+use crumple_report::assessment::{self as report, AssessConfig, AssessmentPlan, ConfigError, Earlier, Store};
 use crumple_store::program;
 use crumple_world::scenario::file;
 use pyo3::prelude::*;
@@ -117,19 +115,7 @@ pub(crate) fn assess(
     };
     let runs = plan.runs();
     let assessment = watched(py, &stop, progress.as_ref(), |say| {
-        // It is heard on several threads, and said on this one.
-        let (said, heard) = std::sync::mpsc::channel();
-        std::thread::scope(|scope| {
-            let (plan, store, against, stop) = (&plan, &store, against.as_ref(), &stop);
-            let worker = scope.spawn(move || {
-                assess_until(plan, store, against, &|done| {
-                    let _ = said.send(done);
-                    if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-                })
-            });
-            heard.iter().for_each(|done| say((done, runs, 0)));
-            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        })
+        report::assess(&plan, &store, against.as_ref(), &|state: &Progress| say((state.done, runs, 0)))
     })?;
     Ok(Assessment(assessment.map_err(|error| wrong(&error))?))
 }

@@ -1,9 +1,8 @@
 //! Searches for failures.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use crumple_search::falsify::campaign::{Campaign, Log, Progress};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::{Contrast, Relation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
@@ -58,10 +57,8 @@ pub(crate) fn falsify<'py>(
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = watched(py, &stop, progress.as_ref(), |say| {
-        campaign.run_keeping(Log::Full, &folder, resume, &mut |state: &Progress| {
-            say((state.evaluations, total, state.failures));
-            if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        })
+        let options = CampaignOptions { resume, ..CampaignOptions::default() };
+        campaign.run(&folder, options, &|state: &CampaignProgress| say((state.evaluations, total, state.failures)))
     })?;
     let summary = summary.map_err(|error| wrong(&error))?;
     Ok((written(py, &summary)?, summary.to_text()))

@@ -1,9 +1,8 @@
 //! Counting failures.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use crumple_evidence::{RateConfig, RateFolderError, RatePlan};
+use crumple_evidence::{CountProgress, RateConfig, RateFolderError, RatePlan};
 use crumple_verify::check;
 use pyo3::prelude::*;
 
@@ -37,20 +36,16 @@ pub(crate) fn rate<'py>(
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Rate, &error.to_string());
     let against = against.map(|against| controller::named(against, &stop)).transpose()?;
     let plan = RatePlan::new(RateConfig {
-        controllers: (controller::named(controller, &stop)?, against),
-        space: space.0.clone(),
+        against,
         seed,
         estimator: choice("estimator", estimator, &ESTIMATORS)?,
-        runs,
         confidence,
+        ..RateConfig::new(controller::named(controller, &stop)?, space.0.clone(), runs)
     })
     .map_err(|error| wrong(&error))?;
     let (counted, tally) = watched(py, &stop, progress.as_ref(), |say| {
         let mut count = plan.register_in(&folder, resume)?;
-        let counted = count.certificate(&mut |done, failed| {
-            say((done, runs, failed));
-            if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        });
+        let counted = count.certificate(&|state: &CountProgress| say((state.runs, runs, state.failures)));
         let tally = count.tally().clone();
         match counted {
             Ok(certificate) => Ok((Ok(certificate), tally)),

@@ -232,13 +232,12 @@ pub(crate) fn simulate(
     let results = watched(py, &stop, progress.as_ref(), |say| {
         let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);
         for some in runs.chunks(AT_ONCE) {
-            if stop.is_asked() {
-                break;
-            }
             let of_some = simulate_batch(some, keep, |_, simulated| simulated);
             failures += of_some.iter().filter(|simulated| !simulated.outcome.is_safe()).count();
             results.extend(of_some);
-            say((results.len() as u64, runs.len() as u64, failures as u64));
+            if say((results.len() as u64, runs.len() as u64, failures as u64)).is_break() {
+                break;
+            }
         }
         results
     })?;

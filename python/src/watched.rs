@@ -1,5 +1,6 @@
 //! Long work on a thread of its own, while the calling thread passes on progress and looks for signals.
 
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -69,13 +70,13 @@ pub(crate) fn leave(py: Python<'_>) {
     });
 }
 
-/// Does `work` on the threads that simulate, without the interpreter's lock. It says how far it is by the function that it is
-/// given, and ends soon once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
+/// Does `work` on the threads that simulate, without the interpreter's lock. `work` reports its progress to the function that it receives.
+/// That function stops it once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
 pub(crate) fn watched<T: Send>(
     py: Python<'_>,
     stop: &Stop,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&dyn Fn(Progress)) -> T + Send,
+    work: impl FnOnce(&(dyn Fn(Progress) -> ControlFlow<()> + Sync)) -> T + Send,
 ) -> PyResult<T> {
     // It would wait for the threads that wait for it. Whether it would do so by chance must not decide: all work is done on them.
     if rayon::current_thread_index().is_some() {
@@ -89,8 +90,9 @@ pub(crate) fn watched<T: Send>(
             let worker = scope.spawn(move || {
                 pool.install(move || {
                     work(&|state| {
-                        // Nobody listens any more once an exception was raised.
+                        // The channel has no receiver any more once an exception was raised.
                         let _ = said.send(state);
+                        if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
                     })
                 })
             });

@@ -1,8 +1,7 @@
 //! How little lead braking makes a controller collide.
 
-use std::ops::ControlFlow;
-
-use crumple_search::worst_case::{Aim, AttackReport, Envelope, hunt};
+use crumple_core::observer::Progress;
+use crumple_search::worst_case::{Aim, AttackReport, Envelope, attack};
 use crumple_world::sim::RunOptions;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -46,10 +45,8 @@ pub(crate) fn worst_case<'py>(
     };
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let result = watched(py, &stop, progress.as_ref(), |say| {
-        hunt(&scenario, &options, aim, envelope, budget as usize, &mut |evaluations| {
-            say((evaluations as u64, u64::from(budget), 0));
-            if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        })
+        let observer = |simulations: &Progress| say((simulations.done, u64::from(budget), 0));
+        attack(&scenario, &options, aim, envelope, budget as usize, &observer)
     })?;
     let name = &scenario.spec().name;
     let result = result.map_err(|error| errors::raised(py, Class::Run, &format!("{name}: {error}")))?;

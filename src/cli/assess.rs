@@ -128,7 +128,7 @@ impl Assess {
             output::note(&note, quiet);
         }
         let bar = progress::bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &store, against.as_ref(), &|done| bar.set_position(done))?;
+        let assessment = assess(&plan, &store, against.as_ref(), &progress::advance(&bar))?;
         let assessment = assessment.made(made(source, identity, begun.elapsed()));
         bar.finish_and_clear();
         folder.write(&assessment.files().map_err(Failure::input)?, EarlierFiles::Go)?;
@@ -163,8 +163,7 @@ impl Assess {
         let out = self.out.display();
         interrupt::says(format!("what is gathered is kept in {out}: the same command goes on"), quiet);
         let bar = progress::counter("gathering evidence", quiet);
-        let told = |done| bar.set_position(done);
-        let gathered = gather_shard(plan, (shard, &self.out, program::identity()?), &told);
+        let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::advance(&bar));
         bar.finish_and_clear();
         let pieces = gathered?;
         let said = "`crumple merge` puts it together with the others";

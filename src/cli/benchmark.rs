@@ -68,7 +68,7 @@ impl ChasingCars {
             check_empty(folder)?;
         }
         let (budget, seeds) = (self.budget as usize, self.seeds as usize);
-        let measured = benchmark(self.method, budget, self.seed, seeds).map_err(Failure::input)?;
+        let measured = benchmark(&self.method, budget, self.seed, seeds).map_err(Failure::input)?;
         if let Some(folder) = &self.out {
             keep(&measured, folder, quiet)?;
         }

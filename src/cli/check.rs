@@ -148,7 +148,7 @@ impl Check {
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { Sample::Share { percent, seed } } else { Sample::Whole };
         let bar = progress::bar("counting again", rerun.runs(sample), quiet);
-        let counted = rerun.confirm(sample, &|runs| bar.inc(runs));
+        let counted = rerun.confirm(sample, &progress::advance(&bar));
         bar.finish_and_clear();
         match counted {
             Ok(confirmation) => Ok(Counts::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),

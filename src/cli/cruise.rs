@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 use crumple_evidence::{CruisePlan, Proved, Sampled};
-use crumple_verify::{Accepted, WorkLimit, check_within};
+use crumple_verify::{Accepted, WorkLimit, check_with};
 use crumple_world::network::NetworkFile;
 
 use super::simulate::Format;
@@ -61,7 +61,7 @@ impl Cruise {
         let shape = plan.shape();
         let proved = plan.prove(self.cells).map_err(failed)?;
         let begin = Instant::now();
-        let accepted = check_within(&proved.certificate, Some(plan.network_bytes()), WorkLimit::NONE)
+        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::NONE)
             .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
         let checked_s = begin.elapsed().as_secs_f64();
         let sampled = plan.sample(self.samples as usize, self.seed);

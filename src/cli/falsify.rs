@@ -1,6 +1,5 @@
 //! `crumple falsify`: look for failures of a controller, and keep the distinct ones.
 
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -8,8 +7,9 @@ use serde::Serialize;
 
 use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
+use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, Log, MergedCampaign, MethodSummary, Progress, ShardDone, Summary,
+    Aim, Campaign, CampaignOptions, CampaignProgress, Log, MergedCampaign, MethodSummary, ShardDone, Summary,
 };
 use crumple_search::falsify::{Contrast, Method, Relation, non_finite};
 use crumple_store::shard::Shard;
@@ -184,22 +184,21 @@ impl Falsify {
             }
         };
         let bar = progress::campaign_bar(part.saturating_mul(campaign.methods().len() as u64), quiet);
-        let mut show = |state: &Progress| {
+        let observer = Listener(|state: &CampaignProgress| {
             bar.set_position(state.evaluations);
-            bar.set_message(match state.method {
+            bar.set_message(match &state.method {
                 Some(method) => format!("{method}: {}, best {:.2};", failures(state.failures), state.best_robustness),
                 None => format!("{}; replaying and shrinking;", failures(state.failures)),
             });
-            ControlFlow::Continue(())
-        };
+        });
         if let Some(shard) = self.shard {
-            let done = campaign.run_shard(shard, &out, self.resume, &mut show);
+            let done = campaign.run_shard(shard, &out, self.resume, &observer);
             bar.finish_and_clear();
             return made(shard, done?, &out, self.format);
         }
         let log = self.log.unwrap_or(Log::Full);
         let kept = if log == Log::Full { ", evaluations" } else { "" };
-        let summary = campaign.run_keeping(log, &out, self.resume, &mut show);
+        let summary = campaign.run(&out, CampaignOptions { log, resume: self.resume }, &observer);
         bar.finish_and_clear();
         let summary = summary?;
         let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };

@@ -100,7 +100,7 @@ impl Fit {
             recordings.push(recording);
         }
         let sample = Sample::of(&recordings, taken).map_err(Failure::input)?;
-        let fitted = fit(&sample, &self.name, (self.samples, self.seed)).map_err(Failure::input)?;
+        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(Failure::input)?;
         let text = file::to_toml(&fitted.space).map_err(Failure::input)?;
         let mut files = Files::default();
         stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;

@@ -1,5 +1,6 @@
 //! Progress on a terminal, and silence in a pipe.
 
+use crumple_core::observer::{Listener, Observer, Progress};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Draws on standard error, and only if that is a terminal.
@@ -38,4 +39,10 @@ pub(super) fn depths(what: &'static str, total: u64, quiet: bool) -> ProgressBar
 /// Shows a line for work of unknown length, with a message.
 pub(super) fn line(quiet: bool) -> ProgressBar {
     progress("{spinner} {msg} ({elapsed})", None, quiet)
+}
+
+/// Returns an observer that advances a bar from its present position.
+pub(super) fn advance(bar: &ProgressBar) -> impl Observer<Progress> {
+    let begin = bar.position();
+    Listener(move |progress: &Progress| bar.set_position(begin + progress.done))
 }

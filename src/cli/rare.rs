@@ -29,7 +29,7 @@ pub(super) fn estimate(
         // What it comes to per hour takes estimates in resamples, which are not kept for long.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
-            let report = kept.exposed(plan, report, resamples, &|runs| bar.inc(runs));
+            let report = kept.exposed(plan, report, resamples, &progress::advance(&bar));
             bar.finish_and_clear();
             let report = report?;
             if !kept.is_complete() {
@@ -55,12 +55,12 @@ fn climbed(
 ) -> Result<RareReport, Failure> {
     interrupt::says(how_to_go_on(plan, folder), quiet);
     let bar = progress::counter("placing levels", quiet);
-    let pilot = kept.pilot(plan, &|runs| bar.inc(runs));
+    let pilot = kept.pilot(plan, &progress::advance(&bar));
     bar.finish_and_clear();
     let pilot = pilot?;
     let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
     bar.inc(pilot.runs_ahead() / plan.effort.repetitions.max(1) as u64 * kept.kept_repetitions());
-    let report = kept.report(plan, &pilot, resamples, &|runs| bar.inc(runs));
+    let report = kept.report(plan, &pilot, resamples, &progress::advance(&bar));
     bar.finish_and_clear();
     Ok(report?)
 }
@@ -81,14 +81,14 @@ pub(super) fn shard(
     resume: bool,
     (format, quiet): (Format, bool),
 ) -> Result<(), Failure> {
-    let mut part = plan.shard_in_folder((shard, resamples), folder, resume)?;
+    let mut part = plan.shard_in_folder(shard, resamples, folder, resume)?;
     if !part.is_complete() {
         interrupt::says(how_to_go_on(plan, folder), quiet);
         let bar = progress::counter("placing levels", quiet);
-        let pilot = part.pilot(&|runs| bar.inc(runs));
+        let pilot = part.pilot(&progress::advance(&bar));
         bar.finish_and_clear();
         let bar = progress::counter("climbing", quiet);
-        let repeated = part.repeat(&pilot?, &|runs| bar.inc(runs));
+        let repeated = part.repeat(&pilot?, &progress::advance(&bar));
         bar.finish_and_clear();
         repeated?;
     }

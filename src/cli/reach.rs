@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use crumple_core::observer::Listener;
 use crumple_store::disk::Files;
-use crumple_verify::{Accepted, Certificate, WorkLimit, check_within};
+use crumple_verify::{Accepted, Certificate, WorkLimit, check_with};
 use serde::Serialize;
 
 use super::output;
@@ -89,13 +90,13 @@ impl Reach {
         let plan =
             ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
-        let told = |now: &Shares| {
+        let observer = Listener(|now: &Shares| {
             bar.set_position(u64::from(now.depth));
             bar.set_message(line(now, false));
-        };
-        let partition = plan.partition(self.depth, told).map_err(failed)?;
+        });
+        let partition = plan.partition(self.depth, &observer).map_err(failed)?;
         bar.finish_and_clear();
-        let accepted = check_within(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::NONE)
+        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::NONE)
             .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
         if let Some(path) = &self.certificate {
             keep(path, &partition.certificate, plan.policy_bytes())?;

@@ -8,8 +8,9 @@ use indicatif::ProgressBar;
 use super::preset::{Preset, RETRAIN};
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
+use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
-    Checkpoint, Progress, Report, RetrainError, RetrainingPlan, Round, Settings, training_preset,
+    Checkpoint, Report, RetrainError, RetrainingPlan, RetrainingProgress, Round, Settings, training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, retraining};
@@ -127,7 +128,7 @@ impl Retrain {
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
         output::note_beginning(self.resume, &self.out, quiet);
         let bar = progress::line(quiet);
-        let report = plan.run(&self.out, self.resume, &mut |state| show(&bar, state));
+        let report = plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show(&bar, state)));
         bar.finish_and_clear();
         let report = report.map_err(|error| as_named(error, &self.preset))?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
@@ -213,23 +214,25 @@ fn training(name: &str) -> Result<TrainingConfig, Failure> {
     Preset::find_beside(RETRAIN[0], name)?.with_spaces()
 }
 
-fn show(bar: &ProgressBar, state: Progress) {
+fn show(bar: &ProgressBar, state: &RetrainingProgress) {
     bar.set_message(match state {
-        Progress::Gathering { what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
-        Progress::Searching { round, state } => match state.method {
+        RetrainingProgress::Gathering { what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
+        RetrainingProgress::Searching { round, state } => match &state.method {
             Some(method) => format!(
                 "round {round}: {method}, {} of {} runs, {} failures",
                 state.evaluations, state.total, state.failures
             ),
             None => format!("round {round}: {} failures; replaying, shrinking and classing", state.failures),
         },
-        Progress::Drawing { round, draws } => format!("round {round}: driving {draws} draws, classing contacts"),
-        Progress::Training { round, episode, episodes, fewest } => {
+        RetrainingProgress::Drawing { round, draws } => {
+            format!("round {round}: driving {draws} draws, classing contacts")
+        }
+        RetrainingProgress::Training { round, episode, episodes, fewest } => {
             let fewest =
                 fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} contacts"));
             format!("round {round}: episode {episode} of {episodes}, {fewest}")
         }
-        Progress::Judging { round } => format!("round {round}: judging the candidate"),
+        RetrainingProgress::Judging { round } => format!("round {round}: judging the candidate"),
     });
     bar.tick();
 }

@@ -7,6 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
 use super::{Failure, choice, interrupt, output, progress, subject, suite_folder, suite_map};
+use crumple_core::observer::{Listener, Progress};
 use crumple_core::quoted::ShellWord;
 use crumple_report::suite;
 use crumple_store::shard::{MissingShards, Shard};
@@ -247,11 +248,11 @@ impl RunSuite {
             quiet,
         );
         let bar = progress::bar("testing", 0, quiet);
-        let what = (suite, self.controllers.as_slice(), self.estimator);
-        let made = run_shard(what, shard, &out, self.resume, &mut |done, all| {
-            bar.set_length(all);
-            bar.set_position(done);
+        let observer = Listener(|tests: &Progress| {
+            bar.set_length(tests.total.unwrap_or_default());
+            bar.set_position(tests.done);
         });
+        let made = run_shard(suite, &self.controllers, self.estimator, shard, &out, self.resume, &observer);
         bar.finish_and_clear();
         let tests = made?;
         output::print(&format!(

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -11,6 +12,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::preset::Preset;
 use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
+use crumple_core::observer::Listener;
 use crumple_learn::rl::{
     ConfigError, Event, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
     TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
@@ -200,8 +202,9 @@ impl Train {
     ) -> Result<SeedResult, Failure> {
         let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
         bar.inc(training.episode());
-        let mut shown = Shown::new(seed, bar);
-        let result = training.train(held_out, &mut |event| shown.event(event))?;
+        let shown = Mutex::new(Shown::new(seed, bar));
+        let show = |event: &Event| shown.lock().unwrap_or_else(PoisonError::into_inner).event(event);
+        let result = training.train(held_out, &Listener(show))?;
         bar.inc(config.episodes.saturating_sub(result.episodes));
         Ok(result)
     }

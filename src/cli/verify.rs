@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use crumple_core::observer::Listener;
 use crumple_verify::{Certificate, Statement};
 use serde::Serialize;
 
@@ -12,7 +13,9 @@ use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
 use crumple_evidence::exposed::ExposedRate;
 use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
-use crumple_evidence::{CertificateReport, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels};
+use crumple_evidence::{
+    CertificateReport, CountProgress, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels,
+};
 use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -178,15 +181,14 @@ impl Rate {
         }
         let (is_comparison, out) = (self.against.is_some(), self.out_of());
         let plan = RatePlan::new(RateConfig {
-            controllers: (self.controller, self.against),
-            space: self.space.1,
+            against: self.against,
             seed: self.seed,
             estimator: self.estimator,
-            runs,
             confidence: self.confidence,
+            ..RateConfig::new(self.controller, self.space.1, runs)
         })
         .map_err(Failure::input)?
-        .with_resampling((self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500)));
+        .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_beginning(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
@@ -196,7 +198,7 @@ impl Rate {
             registered();
             go_on();
             let bar = progress::bar("counting", part.runs(), quiet);
-            let done = part.count(&mut |done| bar.set_position(done));
+            let done = part.count(&progress::advance(&bar));
             bar.finish_and_clear();
             done?;
             let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
@@ -208,10 +210,7 @@ impl Rate {
         registered();
         go_on();
         let bar = progress::bar("counting", runs, quiet);
-        let certificate = count.certificate(&mut |done, _| {
-            bar.set_position(done);
-            std::ops::ControlFlow::Continue(())
-        });
+        let certificate = count.certificate(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
         bar.finish_and_clear();
         let (certificate, path) = match certificate {
             Ok(certificate) => (certificate, count.certificate_path()),
@@ -226,7 +225,7 @@ impl Rate {
         };
         let said = judged(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed = plan.exposed(count.tally(), &mut |runs| bar.inc(runs));
+        let exposed = plan.exposed(count.tally(), &progress::advance(&bar));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?;
         let on_the_road = exposed.as_ref().map(exposed::text).unwrap_or_default();

@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use super::finding::Finding;
 use super::{Failure, choice, subject};
+use crumple_core::observer::Quiet;
 use crumple_core::quoted::Terminal;
-use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, hunt};
+use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, attack};
 use crumple_store::disk::Files;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -69,10 +70,8 @@ impl WorstCase {
             jerk_mps3: self.jerk,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = hunt(&scenario, &options, self.aim, envelope, self.budget as usize, &mut |_| {
-            std::ops::ControlFlow::Continue(())
-        })
-        .map_err(|error| {
+        let result = attack(&scenario, &options, self.aim, envelope, self.budget as usize, &Quiet);
+        let result = result.map_err(|error| {
             let place = match error {
                 AttackError::Envelope { .. } if self.jerk > 0.0 => "--max-brake",
                 AttackError::Envelope { .. } => "--jerk",

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
     AssessConfig, Assessment, AssessmentPlan, Gate, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
@@ -29,7 +30,7 @@ pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
 }
 
 pub(crate) fn run(config: AssessConfig, folder: &Path) -> Assessment {
-    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &Store::none(), None, &|_| {}).expect("runs")
+    assess(&AssessmentPlan::new(config, [], folder).expect("valid"), &Store::none(), None, &Quiet).expect("runs")
 }
 
 fn standings(assessment: &Assessment) -> Vec<&Standing> {
@@ -54,12 +55,11 @@ fn counted(
 ) -> Certificate {
     let find = |name: &str| NamedController::find(name, folder).expect("known");
     let config = RateConfig {
-        controllers: (find(controller), against.map(find)),
-        space: space.clone(),
+        against: against.map(find),
         seed: 9,
         estimator,
-        runs: RUNS,
         confidence: 0.999,
+        ..RateConfig::new(find(controller), space.clone(), RUNS)
     };
     let plan = RatePlan::new(config).expect("valid");
     let mut tally = plan.tally();
@@ -482,7 +482,7 @@ fn a_recording_is_assessed_as_its_episodes() {
     let small = "draws = 0\neveryday_draws = 0\ndistributions = []\nsearch = { spaces = [] }\nrates = { runs = 0 }\n";
     let gate = "[[gates]]\nrequire = \"no-collision-in-scenario-files\"\ncontroller = \"idm\"\n";
     let plan = with(&format!("recordings = [\"platoon.csv\"]\n{small}{gate}")).expect("valid");
-    let found = assess(&plan, &Store::none(), None, &|_| {}).expect("runs");
+    let found = assess(&plan, &Store::none(), None, &Quiet).expect("runs");
     let traffic = found.traffic.as_ref().expect("a part");
     assert_eq!(
         (traffic.scenarios.len(), found.summary.gates[0].holds),
@@ -506,7 +506,7 @@ fn damaged_evidence_is_gathered_again() {
     let kept = folder.path().join("evidence");
     let gather = || {
         let store = Store::open(&kept, "this program", false).expect("a folder");
-        let assessment = assess(&plan, &store, None, &|_| {}).expect("runs");
+        let assessment = assess(&plan, &store, None, &Quiet).expect("runs");
         (assessment.files().expect("renders"), store.reused(), store.damaged().len())
     };
     let (genuine, (pieces, reused), _) = gather();

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{InvalidRate, RateConfig, RatePlan};
 use crumple_report::assessment::{AssessConfig, AssessmentPlan, CaseVerdict, Store, assess};
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego, Needs, ShieldSettings};
 use crumple_world::measure::Specification;
 use crumple_world::observation::{EstimatorKind, Observation};
@@ -146,14 +146,7 @@ fn paper() -> Space {
 }
 
 fn rate(controller: NamedController) -> Result<RatePlan, InvalidRate> {
-    RatePlan::new(RateConfig {
-        controllers: (controller, None),
-        space: paper(),
-        seed: 1,
-        estimator: EstimatorKind::Truth,
-        runs: 50,
-        confidence: 0.99,
-    })
+    RatePlan::new(RateConfig { seed: 1, estimator: EstimatorKind::Truth, ..RateConfig::new(controller, paper(), 50) })
 }
 
 #[test]
@@ -170,17 +163,7 @@ fn a_rate_counts_it_and_says_so() {
 }
 
 fn campaign(controller: NamedController) -> Campaign {
-    Campaign {
-        controller,
-        estimator: EstimatorKind::Truth,
-        space: paper(),
-        specification: Specification::NoContact,
-        contrast: None,
-        method: Method::Auto,
-        aim: Aim::Severest,
-        budget: 30,
-        seed: 0,
-    }
+    Campaign { estimator: EstimatorKind::Truth, budget: 30, ..Campaign::new(controller, paper()) }
 }
 
 #[test]
@@ -188,19 +171,25 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("campaign");
     let own = campaign(Failing::at(10, Err(died())).named());
-    let summary = own.run(&out, false, &mut |_| {}).unwrap();
+    let summary = own.run(&out, CampaignOptions::default(), &Quiet).unwrap();
     assert!(summary.falsified);
     let found = &summary.counterexamples[0];
     assert_eq!(found.kind, "the controller of vehicle 1 fails");
     assert_eq!((found.robustness, found.contact_time_s), (f64::NEG_INFINITY, None));
     assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
-    let again = own.run(&out, true, &mut |_| {}).unwrap();
+    let again = own.run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
     let other = Failing { identity: Some("other"), ..Failing::at(10, Err(died())) }.named();
-    let refused = campaign(other).run(&out, true, &mut |_| {}).unwrap_err().to_string();
+    let refused = campaign(other)
+        .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains("another `controller_sha256`"), "{refused}");
     let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
-    let refused = campaign(unknown).run(&out, true, &mut |_| {}).unwrap_err().to_string();
+    let refused = campaign(unknown)
+        .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
+        .unwrap_err()
+        .to_string();
     assert!(
         refused.starts_with("the controller `failing` states no identity: a campaign with it cannot be resumed"),
         "{refused}"
@@ -218,7 +207,7 @@ fn an_assessment_says_who_failed_and_when() {
     config.distributions = Some(vec!["paper".to_owned()]);
     let own = [Failing::at(100, Ok(f64::NAN)).named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
-    let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
+    let assessment = assess(&plan, &Store::none(), None, &Quiet).unwrap();
     let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];
     assert!(matches!(&case.verdict, CaseVerdict::ControllerFailed { vehicle: 1, .. }), "{:?}", case.verdict);
     assert!(assessment.markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));

@@ -5,15 +5,16 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::tiny;
+use crumple_core::observer::{Listener, Progress};
 use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
-use crumple_evidence::{RateConfig, RatePlan};
-use crumple_learn::retrain::{RetrainingPlan, Settings};
-use crumple_learn::rl::{HeldOut, TrainingConfig, TrainingFolder};
+use crumple_evidence::{CountProgress, RateConfig, RatePlan};
+use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, Settings};
+use crumple_learn::rl::{Event, HeldOut, TrainingConfig, TrainingFolder};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -25,42 +26,37 @@ use tempfile::TempDir;
 const FLIPS: usize = 8;
 
 /// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
-type Working = fn(&Path, u64, &mut (dyn FnMut() + Send)) -> Result<(), String>;
+type Working = fn(&Path, u64, &(dyn Fn() + Sync)) -> Result<(), String>;
 
-fn campaign(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let campaign = Campaign {
-        controller: ControllerSpec::named("baseline").unwrap().into(),
         estimator: EstimatorKind::Truth,
-        space: built_in_space("paper").unwrap(),
-        specification: Specification::NoContact,
-        contrast: None,
-        aim: Aim::default(),
         method: Method::Uniform,
         budget: 60,
         seed,
+        ..Campaign::new(ControllerSpec::named("baseline").unwrap(), built_in_space("paper").unwrap())
     };
-    campaign.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
+    let options = CampaignOptions { resume: true, ..Default::default() };
+    campaign
+        .run(folder, options, &Listener(|_: &CampaignProgress| tick()))
+        .map(|_| ())
+        .map_err(|error| error.to_string())
 }
 
-fn count(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RatePlan::new(RateConfig {
-        controllers: (ControllerSpec::named("idm").unwrap().into(), None),
-        space: built_in_space("paper").unwrap(),
         seed,
         estimator: EstimatorKind::Truth,
-        runs: 300,
         confidence: 0.9,
+        ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 300)
     });
     let (plan, error) = (plan.unwrap(), |error: crumple_evidence::RateFolderError| error.to_string());
     let mut count = plan.register_in(folder, true).map_err(error)?;
-    let certificate = count.certificate(&mut |_, _| {
-        tick();
-        std::ops::ControlFlow::Continue(())
-    });
+    let certificate = count.certificate(&Listener(|_: &CountProgress| tick()));
     certificate.map(|_| ()).map_err(error)
 }
 
-fn estimate(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RarePlan {
         controller: ControllerSpec::named("match-leader").unwrap().into(),
         space: built_in_space("paper").unwrap(),
@@ -70,26 +66,26 @@ fn estimate(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result
         seed,
         effort: Effort { samples: 50, repetitions: 10 },
     };
-    let (error, tick) = (|error: crumple_evidence::rare::RareError| error.to_string(), Mutex::new(tick));
-    let done = |_| tick.lock().unwrap_or_else(PoisonError::into_inner)();
+    let error = |error: crumple_evidence::rare::RareError| error.to_string();
+    let observer = Listener(|_: &Progress| tick());
     let mut kept = plan.in_folder(folder, true).map_err(error)?;
     if kept.kept().map_err(error)?.is_some() {
         return Ok(());
     }
-    let pilot = kept.pilot(&plan, &done).map_err(error)?;
-    kept.report(&plan, &pilot, 0, &done).map(|_| ()).map_err(error)
+    let pilot = kept.pilot(&plan, &observer).map_err(error)?;
+    kept.report(&plan, &pilot, 0, &observer).map(|_| ()).map_err(error)
 }
 
-fn training(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let mut config = TrainingConfig::parse(&tiny::forgetful(&tiny::training()), Path::new("tiny")).unwrap();
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
     let held_out = HeldOut::new(&config.evaluation, &config.environment);
-    training.train(&held_out, &mut |_| tick()).map(|_| ()).map_err(error)
+    training.train(&held_out, &Listener(|_: &Event| tick())).map(|_| ()).map_err(error)
 }
 
-fn retraining(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Result<(), String> {
+fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RetrainingPlan {
         first: Policy::reference(),
         first_name: "policy".to_owned(),
@@ -112,7 +108,7 @@ fn retraining(folder: &Path, seed: u64, tick: &mut (dyn FnMut() + Send)) -> Resu
         },
         picture: |_| "<svg/>".to_owned(),
     };
-    plan.run(folder, true, &mut |_| tick()).map(|_| ()).map_err(|error| error.to_string())
+    plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick())).map(|_| ()).map_err(|error| error.to_string())
 }
 
 /// A folder, in memory where the system has such: thousands of resumptions need no disk.
@@ -148,15 +144,14 @@ fn write(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
 
 /// The files that work leaves behind that is stopped at a tick, or never.
 fn left_behind(work: Working, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
-    let (folder, mut ticks) = (scratch(), 0);
-    let mut tick = || {
-        ticks += 1;
-        if stop == Some(ticks) {
+    let (folder, ticks) = (scratch(), AtomicUsize::new(0));
+    let tick = || {
+        if stop == Some(ticks.fetch_add(1, Ordering::SeqCst) + 1) {
             resume_unwind(Box::new("stopped"));
         }
     };
-    let ended = catch_unwind(AssertUnwindSafe(|| work(folder.path(), seed, &mut tick)));
-    assert_eq!(ended.is_err(), stop.is_some(), "stopped at {stop:?} of {ticks} ticks");
+    let ended = catch_unwind(AssertUnwindSafe(|| work(folder.path(), seed, &tick)));
+    assert_eq!(ended.is_err(), stop.is_some(), "stopped at {stop:?} of {ticks:?} ticks");
     let name = |name: String| name.replace(&format!("seed-{seed}"), "seed-1");
     files(folder.path()).into_iter().map(|(path, bytes)| (name(path), bytes)).collect()
 }
@@ -191,7 +186,7 @@ fn attack(work: Working, stop: Option<usize>) -> usize {
                 Some(damaged) => fs::write(&path, damaged).unwrap(),
                 None => fs::remove_file(&path).unwrap(),
             }
-            match work(folder.path(), 1, &mut || {}) {
+            match work(folder.path(), 1, &|| {}) {
                 Err(said) => {
                     let named = said.contains(name) || said.contains(path.parent().unwrap().to_str().unwrap());
                     assert!(named, "{name}, {what}: refused without its name: {said}");
@@ -211,7 +206,7 @@ fn attack(work: Working, stop: Option<usize>) -> usize {
     // All of it of another run.
     let folder = scratch();
     write(folder.path(), &other);
-    if work(folder.path(), 1, &mut || {}).is_ok() {
+    if work(folder.path(), 1, &|| {}).is_ok() {
         assert_same(&files(folder.path()), &genuine, "another run's folder: believed");
     }
     println!("{} files: {refused} refused, {same} the same", begun.len());

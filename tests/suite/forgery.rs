@@ -3,12 +3,13 @@
 
 mod changes;
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{
     BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, Sample, bound, lies_within,
     shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, certify};
-use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_within};
+use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
@@ -45,8 +46,8 @@ fn judged(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
     if bound(&certificate, policy).is_err() {
         return Verdict::Refused;
     }
-    let Ok(_) = check_within(&certificate, policy, WorkLimit::billions(50)) else { return Verdict::Refused };
-    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(Sample::Whole, &|_| ())) {
+    let Ok(_) = check_with(&certificate, policy, WorkLimit::billions(50)) else { return Verdict::Refused };
+    match Rerun::new(&certificate, &[]).and_then(|rerun| rerun.confirm(Sample::Whole, &Quiet)) {
         Ok(_) | Err(RerunError::NothingCounted(_)) => {}
         Err(_) => return Verdict::Refused,
     }
@@ -155,12 +156,10 @@ fn bounded(scenario: &Scenario) -> Genuine {
 fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     let find = |name: &str| NamedController::from(ControllerSpec::named(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
-        controllers: (find(controller), against.map(find)),
-        space: built_in_space("paper").expect("built in"),
+        against: against.map(find),
         seed: 5,
         estimator: EstimatorKind::Truth,
-        runs,
-        confidence: 0.99,
+        ..RateConfig::new(find(controller), built_in_space("paper").expect("built in"), runs)
     })
     .expect("a plan");
     let mut tally = plan.tally();
@@ -176,7 +175,7 @@ fn reach(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
     );
     let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(controller, &spec).expect("a plan");
-    let certificate = plan.partition(1, |_| ()).expect("cut").certificate;
+    let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
     Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
 }
 
@@ -221,7 +220,7 @@ fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
         .iter()
         .map(|one| {
             bound(&one.certificate, one.policy.as_deref()).expect("bound");
-            check_within(&one.certificate, one.policy.as_deref(), WorkLimit::default()).expect("accepted")
+            check_with(&one.certificate, one.policy.as_deref(), WorkLimit::default()).expect("accepted")
         })
         .collect();
     let kinds: std::collections::BTreeSet<_> = genuine.iter().map(|one| one.certificate.statement.name()).collect();

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, CruiseError, CruisePlan, ReachPlan, bound};
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Scene, reach_with_tube};
-use crumple_verify::{Accepted, Certificate, Statement, check_with};
+use crumple_verify::{Accepted, Certificate, Statement, WorkLimit, check_with};
 use crumple_world::control::{
     ControllerSpec, HistoryPadding, Input, Mapping, NetworkController, Output, Quantity, Squash,
 };
@@ -136,8 +137,8 @@ struct Compared {
 impl Compared {
     /// What is certified of a plan is accepted, every trajectory is inside the tube, no gap is smaller than proved, and what is falsified touches.
     fn certified(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
-        let partition = plan.partition(2, |_| ()).unwrap();
-        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()));
+        let partition = plan.partition(2, &Quiet).unwrap();
+        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default());
         assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");
         bound(&partition.certificate, Some(plan.policy_bytes())).unwrap();
         let actor = Actor::from_bytes(plan.policy_bytes()).unwrap();
@@ -258,8 +259,8 @@ fn a_policy_written_as_onnx_proves_what_it_proves_as_a_policy() {
     let spec = spec("paper-2", "gap_ahead_m = { low = 15.5, high = 16.5 }\nonset_s = { low = 1.0, high = 1.1 }");
     let claims = [ControllerKind::from(Policy::reference()), kind("reference.onnx")].map(|kind| {
         let plan = ReachPlan::new(kind, &spec).unwrap();
-        let certificate = plan.partition(4, |_| ()).unwrap().certificate;
-        check_with(&certificate, Some(plan.policy_bytes())).unwrap();
+        let certificate = plan.partition(4, &Quiet).unwrap().certificate;
+        check_with(&certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap();
         let Statement::Reach(claim) = certificate.statement else { panic!("reach") };
         claim
     });
@@ -399,7 +400,7 @@ fn the_benchmark_of_adaptive_cruise_control_is_proved() {
         assert!(coarse.margin_m <= proved.margin_m + 1e-9 && proved.margin_m <= sampled.margin_m);
         assert!(proved.margin_m > 0.0 && sampled.margin_m - proved.margin_m < 4.0, "{proved:?} {sampled:?}");
         assert!(proved.x_ego_m[0] <= sampled.x_ego_m[0] && sampled.x_ego_m[1] <= proved.x_ego_m[1]);
-        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()));
+        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::default());
         assert!(matches!(accepted, Ok(Accepted::Cruise { .. })), "{accepted:?}");
         bound(&proved.certificate, Some(plan.network_bytes())).unwrap();
         assert_eq!(Certificate::from_json(&proved.certificate.canonical()).unwrap(), proved.certificate);
@@ -412,7 +413,7 @@ fn the_benchmark_of_adaptive_cruise_control_is_proved() {
                 2 => claim.cells = 4,
                 _ => claim.source.sha256 = "0".repeat(64),
             }
-            assert!(check_with(&forged, Some(plan.network_bytes())).is_err(), "{change}");
+            assert!(check_with(&forged, Some(plan.network_bytes()), WorkLimit::default()).is_err(), "{change}");
         }
     }
     let wrong = CruisePlan::new(NetworkFile::load(&corpus("reference.onnx")).unwrap());

@@ -4,12 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
+use crumple_core::observer::Quiet;
 use crumple_report::assessment::{AssessConfig, Assessment, AssessmentPlan, Best, Store, assess};
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
 pub(crate) static BUILT_IN: LazyLock<Assessment> =
-    LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &|_| {}).expect("runs"));
+    LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &Quiet).expect("runs"));
 
 fn committed(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_core::observer::Quiet;
+use crumple_search::falsify::campaign::{Aim, Campaign, CampaignOptions, Summary};
 use crumple_search::falsify::{Contrast, Method, Relation};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -37,15 +38,12 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
     let method = select(Method::ALL.to_vec());
     (space, controller, estimator, aim, method, 1..ENOUGH, 0..u64::MAX >> 1).prop_map(
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {
-            controller: NamedController::find(controller, Path::new(".")).expect("built in"),
-            specification: Specification::NoContact,
-            contrast: None,
             estimator,
-            space,
             method,
             aim,
             budget,
             seed,
+            ..Campaign::new(NamedController::find(controller, Path::new(".")).expect("built in"), space)
         },
     )
 }
@@ -56,7 +54,9 @@ fn options(campaign: &Campaign) -> RunOptions {
 
 fn run(campaign: &Campaign, folder: &Path, threads: usize) -> Summary {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-    pool.install(|| campaign.run(folder, false, &mut |_| ()).expect("a valid campaign in an empty folder"))
+    pool.install(|| {
+        campaign.run(folder, CampaignOptions::default(), &Quiet).expect("a valid campaign in an empty folder")
+    })
 }
 
 proptest! {

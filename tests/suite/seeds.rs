@@ -5,6 +5,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
 use crumple_fuzzing::{self, FileFormat, LANE_CASE_BYTES, TEST_CASE_BYTES, TestCase};
@@ -139,7 +140,7 @@ fn reaches() -> Vec<Certificate> {
     let paper_2 = fs::read_to_string(root().join("corpora/boxes/paper-2.toml")).unwrap();
     let plan =
         ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2, Path::new("paper-2.toml")).unwrap()).unwrap();
-    let whole = plan.partition(0, |_| ()).unwrap().certificate;
+    let whole = plan.partition(0, &Quiet).unwrap().certificate;
     let Statement::Reach(claim) = &whole.statement else { panic!("a statement about reach") };
     let middle = [16.0, 16.0, 25.0, 25.0, 25.0, 3.0, 7.5, 120.0];
     let parts = [

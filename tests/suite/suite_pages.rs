@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crumple_core::observer::Quiet;
 use crumple_report::assessment::{AssessmentPlan, Gate, Property, Store, Strength, SuiteConfig, assess};
 use crumple_report::suite::html;
 use crumple_suites::{Beyond, MarginEnd, STATEMENT, Suite, run};
@@ -169,7 +170,7 @@ fn suites_are_evidence_of_an_assessment() {
     let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
     let gather = || {
         let store = Store::open(&folder.path().join("kept"), "program", false).unwrap();
-        (assess(&plan, &store, None, &|_| {}).unwrap(), store.reused())
+        (assess(&plan, &store, None, &Quiet).unwrap(), store.reused())
     };
     let (found, _) = gather();
     assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);

@@ -350,24 +350,16 @@ impl Rejection {
 /// Checks a certificate that needs no other file.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states, or that takes more than the default limit of work to find out.
+/// [`Rejection`] if it does not prove what it states, or checking it takes more work than the default limit.
 pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
-    check_with(certificate, None)
+    check_with(certificate, None, WorkLimit::default())
 }
 
-/// Checks a certificate, with the bytes of the policy file it speaks about.
+/// Checks a certificate with the bytes of the policy file that it is about, and a limit of work.
 ///
 /// # Errors
-/// [`Rejection`] if it does not prove what it states, or that takes more than the default limit of work to find out.
-pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>) -> Result<Accepted, Rejection> {
-    check_within(certificate, policy, WorkLimit::default())
-}
-
-/// The same with another limit of work.
-///
-/// # Errors
-/// [`Rejection`] if it does not prove what it states, or that takes more work to find out than is allowed.
-pub fn check_within(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<Accepted, Rejection> {
+/// [`Rejection`] if it does not prove what it states, or checking it takes more work than `limit`.
+pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<Accepted, Rejection> {
     if !certificate.lists_its_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::path::Path;
 use std::process::ExitCode;
 
-use crumple_verify::{Certificate, ParseError, WorkLimit, check_within};
+use crumple_verify::{Certificate, ParseError, WorkLimit, check_with};
 
 fn main() -> ExitCode {
     let mut words = std::env::args_os().skip(1).peekable();
@@ -39,7 +39,7 @@ fn judge(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
             return 2;
         }
     };
-    match check_within(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
+    match check_with(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
             println!("  {}", certificate.scope_of(&accepted).to_string().replace('\n', "\n  "));

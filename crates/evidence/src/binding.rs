@@ -235,7 +235,7 @@ pub(super) fn space_of(certificate: &Certificate) -> Result<Space, Unbound> {
 pub(super) fn plan_of(
     certificate: &Certificate,
     registration: &Registration,
-    controllers: (NamedController, Option<NamedController>),
+    (controller, against): (NamedController, Option<NamedController>),
 ) -> Result<RatePlan, Unbound> {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
@@ -243,7 +243,7 @@ pub(super) fn plan_of(
     let seed = of("seed").parse().map_err(|_| differs("registration.configuration.seed", "is no whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
     let space = space_of(certificate)?;
-    Ok(RatePlan::new(RateConfig { controllers, space, seed, estimator, runs, confidence })?)
+    Ok(RatePlan::new(RateConfig { controller, against, space, seed, estimator, runs, confidence })?)
 }
 
 /// Returns the controllers that a registration names, if all are built in: a name in a certificate stands for no file and no

@@ -3,7 +3,7 @@
 use super::{Confirmation, Unbound, bound, left_out};
 use crumple_core::quoted::Terminal;
 use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
-use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_within};
+use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_with};
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
 use serde::Serialize;
@@ -101,7 +101,7 @@ impl<'a> CertificateReport<'a> {
         policy: Option<&[u8]>,
         limit: WorkLimit,
     ) -> Result<Self, Unbound> {
-        let accepted = check_within(certificate, policy, limit).map_err(|rejection| rejection.to_string());
+        let accepted = check_with(certificate, policy, limit).map_err(|rejection| rejection.to_string());
         let accepted = match (accepted, bound(certificate, policy)) {
             (Ok(_), Err(refused @ Unbound::StartRefused(_))) => return Err(refused),
             (Ok(_), Err(unbound)) => Err(unbound.to_string()),

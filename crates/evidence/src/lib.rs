@@ -33,7 +33,7 @@ pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::Discordant;
 pub use planned::{CannotPlan, runs_for};
-pub use rate::{InvalidRate, RateConfig, RateError, RatePlan};
+pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use rate_merge::{MergedCount, SoFar};
 pub use rate_shard::{RateShard, SHARD_OF_A_COUNT};

@@ -1,7 +1,7 @@
 //! Counting failures for a claim about their rate: registered before the first run, counted in order, resumable.
 
 use std::collections::BTreeMap;
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 
 use crumple_verify::rate::MOST_RUNS;
 use crumple_verify::{Certificate, Registration};
@@ -11,6 +11,7 @@ use super::block::{CountedBlock, Ending};
 use super::exposed::{ExposedRate, Part, Probability, run_again};
 use super::record::{CountRecord, Tally, length};
 use crumple_core::digest::sha256;
+use crumple_core::observer::{Counter, Observer, Progress, Quiet, Stopped};
 use crumple_store::shard::{Shard, TooManyShards};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -30,6 +31,17 @@ const MANY_RUNS: u64 = 100_000_000;
 /// ... of which there are so many blocks, as many as a certificate may hold.
 const MANY_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
 
+/// Progress of a count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CountProgress {
+    /// Completed runs.
+    pub runs: u64,
+    /// Runs of them that failed.
+    pub failures: u64,
+    /// Runs of the whole plan.
+    pub total: u64,
+}
+
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
     drivers: Vec<NamedController>,
@@ -46,8 +58,10 @@ const RESAMPLING: (u32, u32) = (200, 500);
 
 /// What a plan is made of.
 pub struct RateConfig {
-    /// The controller; a second one to compare it with.
-    pub controllers: (NamedController, Option<NamedController>),
+    /// The controller.
+    pub controller: NamedController,
+    /// A second controller, to compare the first with.
+    pub against: Option<NamedController>,
     /// What runs are drawn from.
     pub space: Space,
     /// Seed of all draws.
@@ -58,6 +72,15 @@ pub struct RateConfig {
     pub runs: u64,
     /// Confidence of the claim, above 1/2.
     pub confidence: f64,
+}
+
+impl RateConfig {
+    /// Configures a count of one controller through the Kalman filter, with seed 0 and a confidence of 0.99.
+    #[must_use]
+    pub fn new(controller: impl Into<NamedController>, space: Space, runs: u64) -> Self {
+        let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
+        Self { controller, against: None, space, seed: 0, estimator, runs, confidence: 0.99 }
+    }
 }
 
 /// Why nothing can be claimed whatever is counted.
@@ -119,9 +142,9 @@ pub enum RateError {
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
-    /// Whoever was asked whether to go on ended it.
-    #[error("the count was broken off")]
-    BrokenOff,
+    /// The observer stopped the count.
+    #[error("the count was {0}")]
+    Stopped(#[from] Stopped),
 }
 
 impl RatePlan {
@@ -129,8 +152,27 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`InvalidRate`] if no claim could come of it.
+    ///
+    /// ```
+    /// use crumple_core::observer::Quiet;
+    /// use crumple_evidence::{RateConfig, RatePlan};
+    /// use crumple_world::control::ControllerSpec;
+    /// use crumple_world::observation::EstimatorKind;
+    /// use crumple_world::scenario::space::built_in_space;
+    ///
+    /// let plan = RatePlan::new(RateConfig {
+    ///     seed: 1,
+    ///     estimator: EstimatorKind::Truth,
+    ///     confidence: 0.9,
+    ///     ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 300)
+    /// })
+    /// .unwrap();
+    /// let folder = tempfile::tempdir().unwrap();
+    /// let certificate = plan.register_in(folder.path(), false).unwrap().certificate(&Quiet).unwrap();
+    /// println!("{}", crumple_verify::check(&certificate).unwrap());
+    /// ```
     pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig { controllers, space, seed, estimator, runs, confidence } = parts;
+        let RateConfig { controller, against, space, seed, estimator, runs, confidence } = parts;
         if !(1..=MOST_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
@@ -141,7 +183,7 @@ impl RatePlan {
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
             return Err(InvalidRate::NobodyUnderTest { space: space.name().to_owned() });
         }
-        let drivers: Vec<NamedController> = std::iter::once(controllers.0).chain(controllers.1).collect();
+        let drivers: Vec<NamedController> = std::iter::once(controller).chain(against).collect();
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
             return Err(InvalidRate::NoIdentity { controller: unknown.name.clone() });
         }
@@ -173,11 +215,11 @@ impl RatePlan {
         Ok(Self { drivers, space, seed, estimator, resampling: RESAMPLING, record })
     }
 
-    /// The same with so many resamples of the episodes that its space was fitted to, each with so many new runs. They say nothing about the
-    /// count, and are not registered.
+    /// Sets the number of resamples of the episodes that the space was fitted to, and the number of new runs in each. They say nothing about
+    /// the count, and are not registered.
     #[must_use]
-    pub fn with_resampling(self, resampling: (u32, u32)) -> Self {
-        Self { resampling, ..self }
+    pub fn with_resampling(self, resamples: u32, runs_each: u32) -> Self {
+        Self { resampling: (resamples, runs_each), ..self }
     }
 
     /// How often it is resampled; none where no rate per hour can be stated: of two controllers, and where the space does not say in how
@@ -210,24 +252,25 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
     pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
-        self.count_next(&(0..self.blocks()), tally, &mut || ControlFlow::Continue(()))
+        self.count_next(&(0..self.blocks()), tally, &Quiet)
     }
 
-    /// The same for a tally of some blocks that follow each other, as long as `go_on` says so, which is asked after every thousand runs.
-    /// Who ends it may have ended runs halfway: what came of these does not count.
+    /// Counts as [`Self::count_block`] does, for a tally of consecutive blocks. After every thousand runs, `observer` receives the counts
+    /// from before this call. If it stops the count, runs may have ended early, and none of this call is counted.
     ///
     /// # Errors
-    /// As [`Self::count_block`], and [`RateError::BrokenOff`]; `tally` is then as it was.
+    /// As [`Self::count_block`], and [`RateError::Stopped`]; `tally` is then as it was.
     pub(super) fn count_next(
         &self,
         part: &Range<u64>,
         tally: &mut Tally,
-        go_on: &mut dyn FnMut() -> ControlFlow<()>,
+        observer: &dyn Observer<CountProgress>,
     ) -> Result<(), RateError> {
+        let so_far = self.progress(tally);
         let first = part.start + tally.blocks.len() as u64;
         let together = (TOGETHER / self.record.block_runs()).max(1);
         let blocks = first..first.saturating_add(together).min(part.end);
-        let counted = self.count(self.record.runs_of(blocks.clone()), go_on)?;
+        let counted = self.count(self.record.runs_of(blocks.clone()), &|| observer.notify(&so_far))?;
         for (index, block) in blocks.zip(counted) {
             tally.add(length(&self.runs_of(index)), block);
         }
@@ -240,6 +283,11 @@ impl RatePlan {
     /// [`TooManyShards`] if there are fewer blocks than shards.
     pub fn blocks_of(&self, shard: Shard) -> Result<Range<u64>, TooManyShards> {
         shard.range(self.blocks(), "blocks of runs")
+    }
+
+    /// Returns the progress that a tally stands for.
+    pub(super) fn progress(&self, tally: &Tally) -> CountProgress {
+        CountProgress { runs: tally.runs, failures: tally.failed(), total: self.registration().runs }
     }
 
     /// Whether it is of one controller.
@@ -264,24 +312,18 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run.
     pub fn count_again(&self, block: u64) -> Result<CountedBlock, RateError> {
-        Ok(self.count(self.runs_of(block), &mut || ControlFlow::Continue(()))?.pop().unwrap_or_default())
+        Ok(self.count(self.runs_of(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
-    /// Makes runs, which begin where a block begins: a count for each block.
-    fn count(
-        &self,
-        runs: Range<u64>,
-        go_on: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Vec<CountedBlock>, RateError> {
+    /// Counts runs, the first of which begins a block: a count for each block. Calls `go_on` after every thousand runs.
+    fn count(&self, runs: Range<u64>, go_on: &dyn Fn() -> Result<(), Stopped>) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
         let mut endings: Vec<Vec<Ending>> = self.drivers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
         for some in indices.chunks(TOGETHER as usize) {
             for (all, mut more) in endings.iter_mut().zip(self.endings(&self.space, self.seed, some)?) {
                 all.append(&mut more);
             }
-            if go_on().is_break() {
-                return Err(RateError::BrokenOff);
-            }
+            go_on()?;
         }
         let registered = self.registration().digest();
         let places: Vec<usize> = (0..indices.len()).collect();
@@ -294,37 +336,38 @@ impl RatePlan {
     }
 
     /// What the failures of one controller come to per hour and per 1000 km, where the space says in how much driving it was seen; with
-    /// [resamples](Self::with_resampling) of the episodes for the data's uncertainty. `done` hears of the runs made.
+    /// [resamples](Self::with_resampling) of the episodes for the data's uncertainty.
     ///
     /// # Errors
-    /// [`RateError`] names the draw that could not be run.
-    pub fn exposed(&self, tally: &Tally, done: &mut dyn FnMut(u64)) -> Result<Option<ExposedRate>, RateError> {
+    /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the runs in resamples.
+    pub fn exposed(&self, tally: &Tally, observer: &dyn Observer<Progress>) -> Result<Option<ExposedRate>, RateError> {
+        let counter = Counter::new(observer, None);
         let Some(resampling) = self.resampling() else { return Ok(None) };
-        let mut failures = |space: &Space, seed: u64, runs: u64| self.failures(space, (seed, runs), done);
-        let resamples = run_again(&self.space, self.seed, resampling, &mut failures)?;
+        let mut failures = |space: &Space, seed: u64, runs: u64| self.failures(space, (seed, runs), &counter);
+        let resamples = run_again(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(ExposedRate::of(&self.space, known, resamples.as_ref()))
     }
 
     /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
-    pub(super) fn resampled(&self, own: Range<u64>, done: &mut dyn FnMut(u64)) -> Result<Vec<u64>, RateError> {
+    pub(super) fn resampled(&self, own: Range<u64>, counter: &Counter<'_>) -> Result<Vec<u64>, RateError> {
         let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
         let mut part = Part::of(own);
         let mut failures =
-            |space: &Space, seed: u64, runs: u64| part.next(0, || self.failures(space, (seed, runs), done));
+            |space: &Space, seed: u64, runs: u64| part.next(0, || self.failures(space, (seed, runs), counter));
         // Why nothing can be resampled is said by who puts the parts together.
-        let _ = run_again(&self.space, self.seed, resampling, &mut failures)?;
+        let _ = run_again(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         Ok(part.found())
     }
 
     /// How many of so many runs fail in a space, with a seed.
-    fn failures(&self, space: &Space, (seed, runs): (u64, u64), done: &mut dyn FnMut(u64)) -> Result<u64, RateError> {
+    fn failures(&self, space: &Space, (seed, runs): (u64, u64), counter: &Counter<'_>) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
         let mut failed = 0;
         for some in indices.chunks(TOGETHER as usize) {
             let endings = self.endings(space, seed, some)?;
             failed += endings.iter().flatten().filter(|ending| ending.failed()).count() as u64;
-            done(some.len() as u64);
+            counter.add(some.len() as u64)?;
         }
         Ok(failed)
     }
@@ -363,12 +406,10 @@ mod tests {
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
         let contender = |name: &str| NamedController::from(ControllerSpec::named(name).unwrap());
         RatePlan::new(RateConfig {
-            controllers: (contender(controller), against.map(contender)),
-            space: built_in_space("paper").unwrap(),
+            against: against.map(contender),
             seed: 3,
             estimator: EstimatorKind::Truth,
-            runs,
-            confidence: 0.99,
+            ..RateConfig::new(contender(controller), built_in_space("paper").unwrap(), runs)
         })
         .unwrap()
     }

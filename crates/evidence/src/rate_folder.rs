@@ -1,7 +1,7 @@
 //! A count in a folder: `registration.json` before the first run, `progress.json` every second, `certificate.json` once the
 //! checker has accepted it; `work.json` says of each what it is.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,8 @@ use crumple_verify::{Certificate, Rejection, check};
 use serde::Serialize;
 
 use super::record::{CountRecord, Tally, length};
-use super::{RateError, RatePlan};
+use super::{CountProgress, RateError, RatePlan};
+use crumple_core::observer::{Counter, Observer};
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::shard::TooManyShards;
@@ -28,7 +29,7 @@ pub enum RateFolderError {
     /// Another count is registered in the folder: in what it differs.
     #[error("{0}")]
     OtherRegistration(String),
-    /// A run cannot be made, or whoever was told of the progress ended it.
+    /// A run cannot be made, or the observer stopped the count.
     #[error(transparent)]
     Run(#[from] RateError),
     /// There are more shards than blocks of runs.
@@ -167,52 +168,40 @@ impl<'a> Counting<'a> {
         length(resamples) * u64::from(runs_each)
     }
 
-    /// Makes new runs in some of the resamples, and keeps what they come to. `done` hears of the runs made.
+    /// Makes new runs in some of the resamples, and keeps what they come to.
     pub(super) fn resample(
         &mut self,
         work: &Work,
         own: Range<u64>,
-        done: &mut dyn FnMut(u64),
+        counter: &Counter<'_>,
     ) -> Result<(), RateFolderError> {
-        self.tally.resampled = self.plan.resampled(own, done)?;
+        self.tally.resampled = self.plan.resampled(own, counter)?;
         Ok(work.write(PROGRESS, json(&work.path(PROGRESS), &self.tally)?)?)
     }
 
-    /// Counts what is left, and keeps it in the folder. `progress` hears after every thousand runs how many were made before them and how
-    /// many of those failed, and breaks it off if it says so.
-    pub(super) fn count(
-        &mut self,
-        work: &Work,
-        progress: &mut dyn FnMut(u64, u64) -> ControlFlow<()>,
-    ) -> Result<(), RateFolderError> {
+    /// Counts what is left, and keeps it in the folder.
+    pub(super) fn count(&mut self, work: &Work, observer: &dyn Observer<CountProgress>) -> Result<(), RateFolderError> {
         let path = work.path(PROGRESS);
         let mut written = Instant::now();
         while (self.tally.blocks.len() as u64) < length(&self.blocks) {
-            let (runs, failed) = (self.tally.runs, self.tally.failed());
-            self.plan.count_next(&self.blocks, &mut self.tally, &mut || progress(runs, failed))?;
+            self.plan.count_next(&self.blocks, &mut self.tally, observer)?;
             if written.elapsed() > BETWEEN {
                 work.write(PROGRESS, json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
         }
-        if progress(self.tally.runs, self.tally.failed()).is_break() {
-            return Err(RateError::BrokenOff.into());
-        }
+        observer.notify(&self.plan.progress(&self.tally)).map_err(RateError::from)?;
         Ok(work.write(PROGRESS, json(&path, &self.tally)?)?)
     }
 }
 
 impl RateCount<'_> {
-    /// Counts the remaining runs and writes the certificate. `progress` receives, after every thousand runs, the number of runs and of failed
-    /// runs. If it breaks the count off, the folder keeps what was counted.
+    /// Counts the remaining runs and writes the certificate. If `observer` stops the count, the folder keeps what was counted.
     ///
     /// # Errors
-    /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::BrokenOff`].
-    pub fn certificate(
-        &mut self,
-        progress: &mut dyn FnMut(u64, u64) -> ControlFlow<()>,
-    ) -> Result<Certificate, RateFolderError> {
-        self.counting.count(&self.work, progress)?;
+    /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::Stopped`].
+    pub fn certificate(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
+        self.counting.count(&self.work, observer)?;
         self.counting.plan.record().finish_in(&self.work, self.tally())
     }
 
@@ -238,6 +227,7 @@ pub(super) fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkEr
 mod tests {
     use super::*;
     use crate::RateConfig;
+    use crumple_core::observer::Quiet;
     use crumple_world::control::ControllerSpec;
     use crumple_world::observation::EstimatorKind;
     use crumple_world::scenario::space::built_in_space;
@@ -245,12 +235,10 @@ mod tests {
 
     fn plan(seed: u64) -> RatePlan {
         RatePlan::new(RateConfig {
-            controllers: (ControllerSpec::named("idm").unwrap().into(), None),
-            space: built_in_space("paper").unwrap(),
             seed,
             estimator: EstimatorKind::Truth,
-            runs: 1200,
             confidence: 0.9,
+            ..RateConfig::new(ControllerSpec::named("idm").unwrap(), built_in_space("paper").unwrap(), 1200)
         })
         .unwrap()
     }
@@ -269,14 +257,14 @@ mod tests {
     #[test]
     fn an_interrupted_count_ends_with_the_same_files() {
         let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
-        plan.register_in(whole.path(), false).unwrap().certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
+        plan.register_in(whole.path(), false).unwrap().certificate(&Quiet).unwrap();
         let part = interrupted(&plan, |_| ());
         let error =
             |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
         assert!(error(&plan, false).unwrap().contains("holds a count already: use --resume"));
         let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
-        plan.register_in(part.path(), true).unwrap().certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
+        plan.register_in(part.path(), true).unwrap().certificate(&Quiet).unwrap();
         for name in [REGISTRATION, PROGRESS, CERTIFICATE, crumple_store::work::MANIFEST] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");

@@ -1,14 +1,15 @@
 //! A shard of a count in a folder: `shard.json` says all that decides it, `progress.json` what its blocks came to.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::RatePlan;
 use super::exposed::own_resamples;
 use super::rate_folder::{Counting, PROGRESS, RateFolderError};
 use super::record::{CountRecord, Tally, length};
+use super::{CountProgress, RatePlan};
+use crumple_core::observer::{Counter, Observer, Progress};
 use crumple_store::shard::{Mergeable, Shard, Sharded, open_shard};
 use crumple_store::work::Work;
 
@@ -100,25 +101,20 @@ impl RatePlan {
 }
 
 impl RateShard<'_> {
-    /// Counts what is left, and makes the new runs in its share of the resamples. `progress` hears how many runs are done, after every
-    /// thousand.
+    /// Counts what is left, and makes the new runs in its share of the resamples. If `observer` stops the shard, the folder keeps what was
+    /// counted.
     ///
     /// # Errors
-    /// [`RateFolderError`] if a run cannot be made or a file not written.
-    pub fn count(&mut self, progress: &mut dyn FnMut(u64)) -> Result<(), RateFolderError> {
+    /// [`RateFolderError`] if a run cannot be made, a file not written, or `observer` stops the shard.
+    pub fn count(&mut self, observer: &dyn Observer<Progress>) -> Result<(), RateFolderError> {
         if self.work.is_complete() {
             return Ok(());
         }
-        self.counting.count(&self.work, &mut |runs, _| {
-            progress(runs);
-            ControlFlow::Continue(())
-        })?;
-        let mut done = self.counting.runs();
-        let told = &mut |runs| {
-            done += runs;
-            progress(done);
-        };
-        self.counting.resample(&self.work, self.own_resamples.clone(), told)?;
+        let (counted, total) = (self.counting.runs(), Some(self.runs()));
+        let counting = |progress: &CountProgress| observer.observe(&Progress { done: progress.runs, total });
+        self.counting.count(&self.work, &counting)?;
+        let resampling = |progress: &Progress| observer.observe(&Progress { done: counted + progress.done, total });
+        self.counting.resample(&self.work, self.own_resamples.clone(), &Counter::new(&resampling, None))?;
         Ok(self.work.finish()?)
     }
 

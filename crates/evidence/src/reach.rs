@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::starts::Starts;
 use crumple_core::digest::sha256;
+use crumple_core::observer::{Observer, Stopped};
 use crumple_search::worst_case::certificate_about;
 use crumple_world::control::InvalidMapping;
 use crumple_world::observation::EstimatorKind;
@@ -101,6 +102,9 @@ pub enum InvalidBox {
     /// A start of the box cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The observer stopped the work.
+    #[error("the cutting of the box was {0}")]
+    Stopped(#[from] Stopped),
 }
 
 /// Most boxes that one is cut into: 300 MB of memory, and as much as the checker takes on. The rest stays undecided.
@@ -264,11 +268,11 @@ impl ReachPlan {
         &self.claim.policy_file
     }
 
-    /// Cuts undecided boxes, each at most `depth` times and up to [`MOST_BOXES`] in all; `told` hears of each depth.
+    /// Cuts undecided boxes, each at most `depth` times and up to [`MOST_BOXES`] in all. Reports each completed depth.
     ///
     /// # Errors
-    /// [`InvalidBox`] if a start of the box is no scenario.
-    pub fn partition(&self, depth: u32, mut told: impl FnMut(&Shares)) -> Result<Partition, InvalidBox> {
+    /// [`InvalidBox`] if a start of the box is no scenario, or `observer` stops the work.
+    pub fn partition(&self, depth: u32, observer: &dyn Observer<Shares>) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
         let mut scene = self.claim.scene(&self.actor).map_err(of_rejected)?;
         scene.stop_at_doubt = true;
@@ -300,7 +304,7 @@ impl ReachPlan {
             }
             let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
             let now = Shares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
-            told(&now);
+            observer.notify(&now)?;
             shares.push(now);
             if next.is_empty() {
                 break;
@@ -502,7 +506,8 @@ fn within(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_verify::{Accepted, check_with};
+    use crumple_core::observer::Quiet;
+    use crumple_verify::{Accepted, WorkLimit, check_with};
     use crumple_world::policy::Policy;
 
     fn plan(ranges: &str) -> ReachPlan {
@@ -514,10 +519,10 @@ mod tests {
     fn what_is_claimed_is_accepted_and_does_not_depend_on_threads() {
         let plan = plan("gap_ahead_m = { low = 2.0, high = 18.0 }\nleader_brake_mps2 = { low = 2.5, high = 7.5 }");
         let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let partition = alone.install(|| plan.partition(6, |_| ())).unwrap();
-        assert_eq!(partition.certificate, plan.partition(6, |_| ()).unwrap().certificate);
+        let partition = alone.install(|| plan.partition(6, &Quiet)).unwrap();
+        assert_eq!(partition.certificate, plan.partition(6, &Quiet).unwrap().certificate);
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
-        match check_with(&partition.certificate, Some(plan.policy_bytes())).unwrap() {
+        match check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap() {
             Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);

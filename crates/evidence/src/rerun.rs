@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::binding::{self, Unbound};
 use super::{CountedBlock, RateError, RatePlan};
 use crumple_core::digest::Sha256;
+use crumple_core::observer::{Counter, Observer, Progress, Stopped};
 use crumple_world::sim::NamedController;
 
 /// Which blocks are counted again.
@@ -60,6 +61,9 @@ pub enum RerunError {
     /// A run cannot be made.
     #[error(transparent)]
     Run(#[from] RateError),
+    /// The observer stopped the count.
+    #[error("counting again was {0}")]
+    Stopped(#[from] Stopped),
     /// The counts are not right.
     #[error("blocks[{block}], runs {first} to {last}: {problem}")]
     Refuted {
@@ -187,15 +191,18 @@ impl Rerun {
         runs.end - runs.start
     }
 
-    /// Counts a sample again; `progress` hears of the runs of each block that is done.
+    /// Counts a sample again.
     ///
     /// # Errors
-    /// [`RerunError::Refuted`] names the first block of the sample that is not as stated.
-    pub fn confirm(&self, sample: Sample, progress: &(dyn Fn(u64) + Sync)) -> Result<Confirmation, RerunError> {
+    /// [`RerunError::Refuted`] names the first block of the sample that is not as stated; [`RerunError::Stopped`] if `observer` stops.
+    pub fn confirm(&self, sample: Sample, observer: &dyn Observer<Progress>) -> Result<Confirmation, RerunError> {
+        let counter = Counter::new(observer, Some(self.runs(sample)));
         let blocks = self.sampled(sample);
         let judged = blocks.par_iter().map(|&block| {
+            // Without this question, all blocks would be counted after a stop.
+            counter.add(0)?;
             let found = self.plan.count_again(block)?;
-            progress(self.runs_of(block));
+            counter.add(self.runs_of(block))?;
             self.compare(block, &found)
         });
         // The first in order, whichever thread was first.

@@ -7,11 +7,11 @@ use std::path::Path;
 use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
+use crumple_core::observer::Quiet;
 use crumple_explore::{Offer, OfferedScenario, Server};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{built_in, file};
@@ -268,18 +268,14 @@ fn a_request_that_does_not_arrive_in_time_is_ended() {
 #[test]
 fn a_damaged_campaign_is_an_error_in_every_answer() {
     let campaign = Campaign {
-        controller: ControllerSpec::named("match-leader").unwrap().into(),
         estimator: EstimatorKind::Truth,
-        space: built_in_space("high-risk").unwrap(),
-        specification: Specification::NoContact,
-        contrast: None,
         method: Method::Uniform,
-        aim: Aim::Severest,
         budget: 40,
         seed: 7,
+        ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
     };
     let folder = tempfile::tempdir().unwrap();
-    campaign.run(folder.path(), false, &mut |_| {}).unwrap();
+    campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
     let table = std::fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
     let mut bytes = std::fs::read(&table).unwrap();
     let middle = bytes.len() / 2;

@@ -6,10 +6,10 @@ use std::io;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, Progress};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_store::work::{Examined, examine};
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
@@ -65,15 +65,11 @@ fn changed(genuine: &Contents, bytes: &[u8]) -> Contents {
 fn campaign() -> Option<Campaign> {
     let space = built_in_space("high-risk")?;
     Some(Campaign {
-        controller: NamedController::find("match-leader", Path::new("")).ok()?,
         estimator: EstimatorKind::Truth,
-        space,
-        specification: Specification::NoContact,
-        contrast: None,
         method: Method::Uniform,
-        aim: Aim::default(),
         budget: 6,
         seed: 3,
+        ..Campaign::new(NamedController::find("match-leader", Path::new("")).ok()?, space)
     })
 }
 
@@ -116,14 +112,14 @@ fn genuine() -> Option<&'static Genuine> {
     static GENUINE: OnceLock<Option<Genuine>> = OnceLock::new();
     let make = || {
         let folder = tempfile::tempdir().ok()?;
-        let mut half_done = None;
-        let mut look = |progress: &Progress| {
-            if progress.evaluations > 0 && half_done.is_none() {
-                half_done = read(folder.path()).ok();
+        let half_done = OnceLock::new();
+        let look = Listener(|progress: &CampaignProgress| {
+            if progress.evaluations > 0 {
+                half_done.get_or_init(|| read(folder.path()).ok());
             }
-        };
-        campaign()?.run(folder.path(), false, &mut look).ok()?;
-        Some(Genuine { half_done: half_done?, complete: read(folder.path()).ok()? })
+        });
+        campaign()?.run(folder.path(), CampaignOptions::default(), &look).ok()?;
+        Some(Genuine { half_done: half_done.into_inner()??, complete: read(folder.path()).ok()? })
     };
     GENUINE.get_or_init(make).as_ref()
 }
@@ -149,7 +145,7 @@ pub(super) fn misjudged(bytes: &[u8]) -> io::Result<Option<String>> {
     if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
         return Ok(Some(format!("the examination is wrong about what is complete and whole: {examined:?}")));
     }
-    match campaign.run(folder.path(), true, &mut |_| {}) {
+    match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
         // Gone on with, it ends as the genuine one.
         Ok(_) if read(folder.path())? != genuine.complete => {
             Ok(Some("a campaign went on from what is not its own, to another end".to_owned()))

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crumple_fmu::{Description, Fmu};
-use crumple_verify::{Certificate, WorkLimit, check_within};
+use crumple_verify::{Certificate, WorkLimit, check_with};
 
 use super::folder;
 use super::oracle::motion_is_physical;
@@ -206,7 +206,7 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let again = Certificate::from_json(&written).ok();
     let same = again.as_ref() == Some(&read);
     must(same, Law::Certificates, text, || format!("it came back as {again:?}"))?;
-    let check = |certificate: &Certificate| check_within(certificate, Some(Policy::reference_bytes()), WORK);
+    let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK);
     let (said, said_again) = (check(&read), again.as_ref().map(check));
     // Both are words: a reason may hold a number that is none.
     let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));

@@ -33,6 +33,16 @@ pub enum SuiteError {
     },
 }
 
+/// A field of a suite that is not valid.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: {problem}")]
+pub struct InvalidSuite {
+    /// Path of the field, such as `clauses[0].tests[1].lead`.
+    pub field: String,
+    /// The problem.
+    pub problem: SuiteProblem,
+}
+
 /// What can be wrong with a field of a suite.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -172,10 +182,14 @@ fn alternative(other: Option<&Parameter>) -> String {
     other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
 }
 
-type Checked = Result<(), (String, SuiteProblem)>;
+type Checked = Result<(), InvalidSuite>;
 
 fn holds(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> Checked {
-    if condition { Ok(()) } else { Err((field.into(), problem)) }
+    if condition { Ok(()) } else { Err(invalid(field, problem)) }
+}
+
+fn invalid(field: impl Into<String>, problem: SuiteProblem) -> InvalidSuite {
+    InvalidSuite { field: field.into(), problem }
 }
 
 pub(super) fn check(spec: &SuiteSpec) -> Checked {
@@ -212,7 +226,7 @@ pub(super) fn check(spec: &SuiteSpec) -> Checked {
 }
 
 /// Checks a test after so many points of others; how many it has.
-fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (String, SuiteProblem)> {
+fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, InvalidSuite> {
     let lead = match (test.lead, &test.refused) {
         (Some(lead), None) => lead,
         (None, Some(why)) => {
@@ -223,7 +237,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
                 || !test.ranges.is_empty();
             return holds(!misplaced, place, SuiteProblem::Either).map(|()| 0);
         }
-        _ => return Err((place.to_owned(), SuiteProblem::Either)),
+        _ => return Err(invalid(place, SuiteProblem::Either)),
     };
     check_figures(test, lead, place)?;
     if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
@@ -258,7 +272,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, (Str
     for (index, margin) in test.margins.iter().enumerate() {
         let field = format!("{place}.margins[{index}]");
         let Some((at, stated)) = test.place(margin.push) else {
-            return Err((format!("{field}.push"), SuiteProblem::Misplaced { lead: lead.name() }));
+            return Err(invalid(format!("{field}.push"), SuiteProblem::Misplaced { lead: lead.name() }));
         };
         value(margin.push, margin.to, stated.unit, &format!("{field}.to"))?;
         let is_within = stated.values.iter().any(|&value| value >= margin.to)
@@ -282,10 +296,10 @@ fn check_figures(test: &TestSpec, lead: Lead, place: &str) -> Checked {
     for needed in lead.parameters() {
         let mut stated = needed.iter().filter(|parameter| test.figures.get(**parameter).is_some());
         match (stated.next(), stated.next(), needed) {
-            (Some(&other), Some(&twice), _) => return Err((field(twice), SuiteProblem::Both { other })),
+            (Some(&other), Some(&twice), _) => return Err(invalid(field(twice), SuiteProblem::Both { other })),
             (None, _, [first, others @ ..]) => {
                 let missing = SuiteProblem::Missing { lead: lead.name(), or: others.first().copied() };
-                return Err((field(*first), missing));
+                return Err(invalid(field(*first), missing));
             }
             _ => {}
         }
@@ -301,7 +315,7 @@ fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Check
     let point_in_words = || test.in_words(point);
     test.scenario("point", "", point)
         .map(drop)
-        .map_err(|why| (field.to_owned(), SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
+        .map_err(|why| invalid(field, SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
 }
 
 fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {

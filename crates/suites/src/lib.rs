@@ -22,7 +22,7 @@ mod within;
 
 use std::path::Path;
 
-pub use check::{SuiteError, SuiteProblem};
+pub use check::{InvalidSuite, SuiteError, SuiteProblem};
 pub use figure::{Figure, Figures, ImpactLimit, Origin, Parameter, Unit};
 pub use map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
 pub use margin::{Beyond, Margin, MarginEnd};
@@ -47,8 +47,8 @@ impl Suite {
     /// Accepts a spec if it is valid: every point of every grid is a scenario then, and so is every end of a margin.
     ///
     /// # Errors
-    /// The first field that is wrong, and what is wrong with it.
-    pub fn new(spec: SuiteSpec) -> Result<Self, (String, SuiteProblem)> {
+    /// [`InvalidSuite`] names the first field that is not valid.
+    pub fn new(spec: SuiteSpec) -> Result<Self, InvalidSuite> {
         check::check(&spec)?;
         Ok(Self { spec })
     }
@@ -69,7 +69,7 @@ impl Suite {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, SuiteError> {
         use crumple_world::scenario::file;
         let spec = file::parse_toml(text, path)?;
-        Self::new(spec).map_err(|(field, problem)| {
+        Self::new(spec).map_err(|InvalidSuite { field, problem }| {
             let line = file::line_in_toml(text, &field);
             SuiteError::Invalid { path: path.to_owned(), line, field, problem: problem.into() }
         })

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::rows::TestedRow;
 use super::run::{SuiteRunError, assembled, each, pieces};
-use super::{Suite, SuiteResult, SuiteSpec, Tested};
+use super::{InvalidSuite, Suite, SuiteResult, SuiteSpec, Tested};
+use crumple_core::observer::{Observer, Progress, Stopped};
 use crumple_store::shard::{MergeError, Mergeable, Merged, Shard, Sharded, TooManyShards, open_shard};
 use crumple_store::work::{Finished, Work, WorkError};
 use crumple_world::observation::EstimatorKind;
@@ -34,6 +35,9 @@ pub enum SuiteShardError {
     /// A controller was refused on the way.
     #[error(transparent)]
     Run(#[from] SuiteRunError),
+    /// The observer stopped the shard.
+    #[error("the suite was {0}")]
+    Stopped(#[from] Stopped),
     /// A file cannot be encoded.
     #[error("cannot encode a file of a shard: {0}")]
     Encoding(String),
@@ -93,7 +97,7 @@ impl Sharded for ShardedSuite {
     }
 
     fn problem(&self) -> Option<String> {
-        let (field, problem) = Suite::new(self.run.suite.clone()).err()?;
+        let InvalidSuite { field, problem } = Suite::new(self.run.suite.clone()).err()?;
         Some(format!("run.suite.{field}: {problem}"))
     }
 }
@@ -132,16 +136,19 @@ pub struct Results {
     tested: Vec<TestedRow>,
 }
 
-/// Makes a shard of a suite in `folder`, or goes on with it where `resume` says so. `done` hears how many of how many pieces there are.
+/// Runs a shard of a suite in `folder`, or continues it with `resume`. Returns the number of its pieces: tests times controllers.
 ///
 /// # Errors
-/// [`SuiteShardError`] if there are fewer pieces than shards, a controller states no identity, or the folder cannot be used.
+/// [`SuiteShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, or `observer`
+/// stops the shard.
 pub fn run_shard(
-    (suite, controllers, estimator): (&Suite, &[NamedController], EstimatorKind),
+    suite: &Suite,
+    controllers: &[NamedController],
+    estimator: EstimatorKind,
     shard: Shard,
     folder: &Path,
     resume: bool,
-    done: &mut dyn FnMut(u64, u64),
+    observer: &dyn Observer<Progress>,
 ) -> Result<u64, SuiteShardError> {
     let all = shard.range(pieces(suite.spec(), controllers.len()), ShardedSuite::PARTS)?;
     let count = all.end - all.start;
@@ -167,9 +174,8 @@ pub fn run_shard(
     }
     each(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
         results.tested.push(TestedRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
-        done(results.tested.len() as u64, count);
         work.write(ShardedSuite::RESULTS, json(&results)?)?;
-        Ok::<(), SuiteShardError>(())
+        Ok::<(), SuiteShardError>(observer.notify(&Progress { done: results.tested.len() as u64, total: Some(count) })?)
     })?;
     work.finish()?;
     Ok(count)

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::Plan;
 use crate::cli::{Failure, output, subject};
 use crumple_evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
+use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::Shard;
 use crumple_world::control::is_external_allowed;
@@ -24,7 +25,7 @@ pub(super) enum Wanted {
         failures: u64,
     },
     Search {
-        method: &'static str,
+        method: Method,
         /// Of the method, and of each reference search.
         budget: u64,
         /// Of all together.
@@ -95,15 +96,13 @@ impl Plan {
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
         let specification = subject::specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
-            controller: self.controller.clone(),
             estimator: self.estimator,
-            space: space.clone(),
             specification,
-            contrast: None,
-            method: self.method,
+            method: self.method.clone(),
             aim: self.aim,
             budget,
             seed: self.seed,
+            ..Campaign::new(self.controller.clone(), space.clone())
         };
         if let Some(shards) = self.shards {
             let last = Shard::new(shards, shards).map_err(Failure::input)?;
@@ -120,7 +119,7 @@ impl Plan {
             format!("--budget={budget}"),
             format!("--spec={}", self.spec),
         ]);
-        let wanted = Wanted::Search { method: self.method.name(), budget, evaluations };
+        let wanted = Wanted::Search { method: self.method.clone(), budget, evaluations };
         let most_shards = campaign.most_shards();
         let bytes = Box::new(move |shards| campaign.bytes_of(shards));
         Ok((wanted, words, Measure { runs: evaluations, pace, most_shards, bytes }))
@@ -128,12 +127,10 @@ impl Plan {
 
     fn count(&self, seed: u64, runs: u64) -> Result<RatePlan, Failure> {
         RatePlan::new(RateConfig {
-            controllers: (self.controller.clone(), None),
-            space: self.space.1.clone(),
             seed,
             estimator: self.estimator,
-            runs,
             confidence: self.confidence,
+            ..RateConfig::new(self.controller.clone(), self.space.1.clone(), runs)
         })
         .map_err(Failure::input)
     }

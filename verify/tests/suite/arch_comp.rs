@@ -11,9 +11,7 @@ use crumple_verify::cruise::{Unshown, bounds};
 use crumple_verify::reach::actor::rectified_between;
 use crumple_verify::reach::{Actor, Each, Format, Input, Layer, Source, Step};
 
-use crumple_verify::{
-    Accepted, Certificate, Cruise, Provenance, Rejection, Statement, WorkLimit, check_with, check_within,
-};
+use crumple_verify::{Accepted, Certificate, Cruise, Provenance, Rejection, Statement, WorkLimit, check_with};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -225,7 +223,7 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     let found = bounds(&Actor::from_bytes(&file).unwrap(), 3).unwrap();
     let (margin_m, x_ego_width_m) = (found.margin_m, found.x_ego_width_m());
     let accepted = Ok(Accepted::Cruise { margin_m, x_ego_width_m });
-    let checked = |change: fn(&mut Cruise)| check_with(&certified(&file, change), Some(&file));
+    let checked = |change: fn(&mut Cruise)| check_with(&certified(&file, change), Some(&file), WorkLimit::default());
     assert_eq!(checked(|_| ()), accepted);
     assert_eq!(checked(|claim| claim.margin_m_at_least = f64::NEG_INFINITY), accepted);
     assert_eq!(checked(|claim| claim.x_ego_width_m_at_most = 1e9), accepted);
@@ -251,7 +249,7 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     // As many cells as there may be: too much work for this limit, and nothing wrong with them.
     let limit = WorkLimit::operations(1_000_000);
     let most = certified(&file, |claim| claim.cells = 10_000);
-    assert_eq!(check_within(&most, Some(&file), limit), Err(Rejection::TooMuchWork { limit }));
+    assert_eq!(check_with(&most, Some(&file), limit), Err(Rejection::TooMuchWork { limit }));
 }
 
 #[test]

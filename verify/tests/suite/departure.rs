@@ -3,7 +3,7 @@
 use crumple_verify::reach::{
     Actor, Cell, Departure, Dimension, Follower, Idm, Law, Reach, Scene, Step, reach, reach_with_tube,
 };
-use crumple_verify::{Accepted, Interval, check_with};
+use crumple_verify::{Accepted, Interval, WorkLimit, check_with};
 use proptest::prelude::*;
 
 use crate::driven::{IDM, any_law};
@@ -115,7 +115,7 @@ fn what_is_departed_from_is_said_with_the_scope() {
         ..claim()
     };
     let certificate = certificate(claim);
-    let accepted = check_with(&certificate, Some(&bytes)).unwrap();
+    let accepted = check_with(&certificate, Some(&bytes), WorkLimit::default()).unwrap();
     assert!(matches!(accepted, Accepted::Reach { departs_from: Some(found), .. } if found == departure));
     let Departure { dead_zone, rate_per_s, idm } = departure;
     let (scope, plain) = (certificate.scope_of(&accepted).to_string(), certificate.scope().to_string());
@@ -129,7 +129,7 @@ fn what_is_departed_from_is_said_with_the_scope() {
         assert!(scope.contains(&said) && !plain.contains(&said), "{said}: {scope}");
     }
     // Of another policy with the same claim it does not: the digest decides.
-    assert!(check_with(&certificate, Some(&reference())).is_err());
+    assert!(check_with(&certificate, Some(&reference()), WorkLimit::default()).is_err());
 }
 
 /// The committed policy that departs from `idm`, around scenario 1: bounds that are not idle, through the leader's onset, the follower's brake and everybody's stops.

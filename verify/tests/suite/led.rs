@@ -1,7 +1,7 @@
 //! What is claimed of a leader that brakes as it likes is true however it brakes.
 
 use crumple_verify::reach::{Actor, Cell, Dimension, Ranges, Reach, Scene, reach, reach_with_tube};
-use crumple_verify::{Accepted, Assumption, Certificate, Interval, Rejection, check_with};
+use crumple_verify::{Accepted, Assumption, Certificate, Interval, Rejection, WorkLimit, check_with};
 use proptest::prelude::*;
 
 use crate::reach::{LATCHED, any_ranges, any_unit, certificate, claim, is_bounded, member, paper, reference, scene};
@@ -195,7 +195,7 @@ fn led_claim() -> Reach {
 }
 
 fn judged(claim: Reach) -> Result<Accepted, Rejection> {
-    check_with(&certificate(claim), Some(&reference()))
+    check_with(&certificate(claim), Some(&reference()), WorkLimit::default())
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     }
     // The assumption left out, doubled, or that of a script in its place; and it in the place of that of a script.
     let with = |claim: &Reach, assumptions: Vec<Assumption>| {
-        check_with(&Certificate { assumptions, ..certificate(claim.clone()) }, Some(&reference()))
+        check_with(&Certificate { assumptions, ..certificate(claim.clone()) }, Some(&reference()), WorkLimit::default())
     };
     let needed = certificate(genuine.clone()).assumptions;
     assert!(needed.contains(&Assumption::LeaderWithinLimit) && !needed.contains(&Assumption::ScriptedLeader));

@@ -1,7 +1,9 @@
 //! The files of networks from outside: what is read back, what is refused, and what a statement about one has to say.
 
 use crumple_verify::reach::{Actor, Cell, Format, Ranges, Reach, Source, file_name};
-use crumple_verify::{Accepted, Assumption, Certificate, Interval, Provenance, Rejection, Statement, check_with};
+use crumple_verify::{
+    Accepted, Assumption, Certificate, Interval, Provenance, Rejection, Statement, WorkLimit, check_with,
+};
 use sha2::{Digest, Sha256};
 
 use serde_json::{Value, json};
@@ -103,26 +105,26 @@ fn certificate(claim: Reach) -> Certificate {
 fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
     let (_, file) = any_with_file(3);
     let genuine = certificate(claim(&file));
-    let accepted = check_with(&genuine, Some(&file));
+    let accepted = check_with(&genuine, Some(&file), WorkLimit::default());
     assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{accepted:?}");
     assert!(genuine.assumptions.contains(&Assumption::NetworkAsRead));
     assert!(genuine.scope().to_string().contains("read from a file in the format ONNX"));
     let mut silent = genuine.clone();
     silent.assumptions.retain(|assumption| *assumption != Assumption::NetworkAsRead);
-    assert!(matches!(check_with(&silent, Some(&file)), Err(Rejection::Assumptions { .. })));
+    assert!(matches!(check_with(&silent, Some(&file), WorkLimit::default()), Err(Rejection::Assumptions { .. })));
     // As one of crumple's own, or of another file.
     let mut sources = [None, Some(Source { format: Format::StableBaselines, sha256: "0".repeat(64) })].to_vec();
     sources.push(Some(Source { format: Format::Onnx, sha256: "1".repeat(64) }));
     for source in sources {
         let other = certificate(Reach { source, ..claim(&file) });
-        let refused = check_with(&other, Some(&file));
+        let refused = check_with(&other, Some(&file), WorkLimit::default());
         assert!(matches!(refused, Err(Rejection::Policy { .. })), "{refused:?}");
     }
     // Any byte of it.
     for place in (0..file.len()).step_by(7) {
         let mut changed = file.clone();
         changed[place] ^= 1;
-        assert!(matches!(check_with(&genuine, Some(&changed)), Err(Rejection::Policy { .. })));
+        assert!(matches!(check_with(&genuine, Some(&changed), WorkLimit::default()), Err(Rejection::Policy { .. })));
     }
 }
 

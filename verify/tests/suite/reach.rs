@@ -7,7 +7,7 @@ use std::fmt::Debug;
 use crumple_verify::reach::{
     Actor, Cell, Dimension, Doubt, Follower, Layer, Ranges, Reach, Reached, Scene, Step, Tube, reach, reach_with_tube,
 };
-use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, check, check_with};
+use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, WorkLimit, check, check_with};
 use proptest::prelude::*;
 
 use crate::support::closed_loop::{Numbers, Start, answers, scripted, simulate, simulate_told};
@@ -294,7 +294,7 @@ pub fn certificate(claim: Reach) -> Certificate {
 #[test]
 fn a_claim_is_derived_again() {
     let bytes = reference();
-    match check_with(&certificate(claim()), Some(&bytes)) {
+    match check_with(&certificate(claim()), Some(&bytes), WorkLimit::default()) {
         Ok(Accepted::Reach { verified_share, falsified_share, smallest_gap_m, .. }) => {
             // Volumes: the middle of a range is rounded.
             assert!(
@@ -349,10 +349,10 @@ fn a_32nd_of_the_cuts_that_is_a_243rd_of_the_volume_is_not_accepted_for_a_32nd()
     let share = |claim: &Reach| claim.shares().unwrap()[0];
     let stated = claims.min_by(|one, other| share(one).total_cmp(&share(other))).unwrap();
     assert!(share(&stated) <= 1.0 / 243.0 && share(&stated) > 0.0041, "{}", share(&stated));
-    let refused = check_with(&certificate(stated.clone()), Some(&bytes)).unwrap_err().to_string();
+    let refused = check_with(&certificate(stated.clone()), Some(&bytes), WorkLimit::default()).unwrap_err().to_string();
     assert!(refused.contains("verified_share_at_least"), "{refused}");
     let measured = Reach { verified_share_at_least: share(&stated), ..stated };
-    let shown = check_with(&certificate(measured), Some(&bytes)).unwrap().to_string();
+    let shown = check_with(&certificate(measured), Some(&bytes), WorkLimit::default()).unwrap().to_string();
     assert!(shown.starts_with("reach: in 0.41 % of the box's volume"), "{shown}");
 }
 
@@ -361,7 +361,7 @@ fn one_changed_weight_is_another_policy() {
     let mut bytes = reference();
     let last = bytes.len() - 7;
     bytes[last] ^= 1;
-    let changed = check_with(&certificate(claim()), Some(&bytes));
+    let changed = check_with(&certificate(claim()), Some(&bytes), WorkLimit::default());
     assert!(matches!(changed, Err(Rejection::Policy { .. })), "{changed:?}");
     // With its own digest the statement is derived for the changed network: no longer true if the change is large.
     let actor = Actor::from_bytes(&reference()).unwrap();
@@ -370,7 +370,10 @@ fn one_changed_weight_is_another_policy() {
     let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
     bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
     let changed = Reach { policy_sha256: sha256(&bytes), ..claim() };
-    assert!(matches!(check_with(&certificate(changed), Some(&bytes)), Err(Rejection::Leaf { leaf: 0, .. })));
+    assert!(matches!(
+        check_with(&certificate(changed), Some(&bytes), WorkLimit::default()),
+        Err(Rejection::Leaf { leaf: 0, .. })
+    ));
 }
 
 /// Every number changed by little and by much: what is still accepted survives an attack.
@@ -385,7 +388,7 @@ fn what_survives_a_change_is_true() {
             rejected += 1;
             continue;
         };
-        if check_with(&certificate, Some(&bytes)).is_err() {
+        if check_with(&certificate, Some(&bytes), WorkLimit::default()).is_err() {
             rejected += 1;
             continue;
         }

@@ -356,7 +356,7 @@ fn work_is_counted_for_every_instant_and_vehicle() {
             let claim = certificate(statement);
             let (needed, name) = (6 * vehicles * 400, claim.statement.name());
             let is_too_much = |operations: u64| {
-                let checked = check_within(&claim, None, WorkLimit::operations(operations));
+                let checked = check_with(&claim, None, WorkLimit::operations(operations));
                 matches!(checked, Err(Rejection::TooMuchWork { .. }))
             };
             assert!(!is_too_much(needed) && is_too_much(needed - 1), "{name}: {vehicles}");

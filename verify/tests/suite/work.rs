@@ -1,6 +1,6 @@
 //! A file keeps the checker busy no longer than is allowed, however much it announces.
 
-use crumple_verify::{Accepted, Certificate, Rejection, Statement, WorkLimit, check, check_within};
+use crumple_verify::{Accepted, Certificate, Rejection, Statement, WorkLimit, check, check_with};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -86,15 +86,15 @@ fn what_announces_much_is_given_up() {
     // 32 767 cells of a hundred thousand steps in half a megabyte: many hours.
     let endless = reach(14, 100_000);
     let limit = WorkLimit::billions(1);
-    let result = check_within(&endless, Some(&policy()), limit);
+    let result = check_with(&endless, Some(&policy()), limit);
     assert_eq!(result, Err(Rejection::TooMuchWork { limit }));
     let message = result.unwrap_err().to_string();
     assert_eq!(message, "checking it takes more than 1000000000 operations, and no more are allowed");
     for claim in others() {
         assert!(check(&claim).is_ok(), "{:?}", check(&claim));
         let name = claim.statement.name();
-        assert!(is_too_much(&check_within(&claim, None, WorkLimit::operations(1000))), "{name}");
-        assert!(check_within(&claim, None, WorkLimit::billions(1)).is_ok(), "{name}");
+        assert!(is_too_much(&check_with(&claim, None, WorkLimit::operations(1000))), "{name}");
+        assert!(check_with(&claim, None, WorkLimit::billions(1)).is_ok(), "{name}");
     }
 }
 
@@ -110,19 +110,19 @@ fn limits_are_said_in_whole_billions() {
 #[test]
 fn who_follows_by_a_law_is_counted() {
     let (mut claim, limit) = (reach(0, 3000), WorkLimit::operations(600_000_000));
-    assert!(check_within(&claim, Some(&policy()), limit).is_ok());
+    assert!(check_with(&claim, Some(&policy()), limit).is_ok());
     let Statement::Reach(of) = &mut claim.statement else { panic!() };
     (of.follower_ttc_s, of.follower_law) = (None, Some(Box::new(IDM)));
     claim.assumptions = claim.statement.assumptions();
-    assert!(is_too_much(&check_within(&claim, Some(&policy()), limit)));
-    assert!(check_within(&claim, Some(&policy()), WorkLimit::default()).is_ok());
+    assert!(is_too_much(&check_with(&claim, Some(&policy()), limit)));
+    assert!(check_with(&claim, Some(&policy()), WorkLimit::default()).is_ok());
 }
 
 /// Threads share what is allowed: where the limit lies does not depend on which of them is first.
 #[test]
 fn the_limit_is_where_it_was() {
     let (claim, policy) = (reach(3, 500), policy());
-    let checked = |operations: u64| check_within(&claim, Some(&policy), WorkLimit::operations(operations));
+    let checked = |operations: u64| check_with(&claim, Some(&policy), WorkLimit::operations(operations));
     let (mut refused, mut enough) = (0, 1 << 40);
     assert!(checked(enough).is_ok(), "{:?}", checked(enough));
     while enough - refused > 1 {

@@ -118,7 +118,8 @@ fn refitted_to_resamples(space: &Space, seed: u64, resamples: u32) -> Result<(Ve
 pub fn run_again<E>(
     space: &Space,
     seed: u64,
-    (resamples, runs): (u32, u32),
+    resamples: u32,
+    runs: u32,
     failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
 ) -> Result<Result<Resamples, NotResampled>, E> {
     let (spaces, unfit) = match refitted_to_resamples(space, seed, resamples) {

@@ -77,7 +77,7 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
         let space = seen(&truth, hours, AN_HOUR, &mut stream(trial, Purpose::Search, 77));
         let runs = 2000;
         let known = Probability::Counted { failures: failures(&space, trial, runs).unwrap(), unknown: 0, runs };
-        let resamples = run_again(&space, trial, (100, 200), &mut failures).unwrap().unwrap();
+        let resamples = run_again(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
         let rate = ExposedRate::of(&space, known, Ok(&resamples)).unwrap();
         let holds = |figure: Figure| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
         held[0] += holds(rate.with_data.unwrap().figures.per_hour);
@@ -112,7 +112,7 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     let mut spec = truth.spec().clone();
     spec.exposure = Some(seen_for(2.0, 0));
     let space = Space::new(spec, Path::new("")).unwrap();
-    assert_eq!(run_again(&space, 0, (79, 10), &mut failures).unwrap(), Err(NotResampled::NoData));
+    assert_eq!(run_again(&space, 0, 79, 10, &mut failures).unwrap(), Err(NotResampled::NoData));
     let rate = ExposedRate::of(&space, known, none).unwrap();
     assert_eq!((rate.waves, rate.with_data), (50, None));
     let Figures { per_episode, per_hour, per_1000_km } = rate.fitted;
@@ -191,13 +191,13 @@ fn percentiles_of_few_resamples_are_not_stated() {
     assert_eq!(resamples(159).between(0.975), Some([2.0, 158.0]));
     assert_eq!(resamples(200).between(0.95), Some([5.0, 196.0]));
     let space = seen(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
-    let few = run_again(&space, 0, (78, 10), &mut failures).unwrap();
+    let few = run_again(&space, 0, 78, 10, &mut failures).unwrap();
     assert_eq!(few, Err(NotResampled::TooFew { asked: 78 }));
     // What was changed after it was fitted is not what resamples would be.
     let mut spec = space.spec().clone();
     spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
     let changed = Space::new(spec, Path::new("")).unwrap();
-    let refused = run_again(&changed, 0, (79, 10), &mut failures).unwrap();
+    let refused = run_again(&changed, 0, 79, 10, &mut failures).unwrap();
     assert_eq!(refused, Err(NotResampled::Edited { what: "`gap_m`".to_owned() }));
 }
 
@@ -228,7 +228,7 @@ fn estimates_in_resamples_agree_with_new_runs() {
     let climbed = estimate_again(&space, 9, 80, &mut |space: &Space, seed| Ok(estimate(Some(share(space, seed)?))));
     let climbed: Result<_, std::convert::Infallible> = climbed;
     let (climbed, counted) =
-        (climbed.unwrap().unwrap(), run_again(&space, 9, (80, 4000), &mut failures).unwrap().unwrap());
+        (climbed.unwrap().unwrap(), run_again(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
     for (a, b) in climbed.spread[0].iter().zip(&counted.spread[0]) {
         assert!((a - b).abs() < 0.03, "{a} {b}");
     }

@@ -72,7 +72,7 @@ pub struct Fitted {
 ///
 /// # Errors
 /// [`FitError`] for numbers that no family describes.
-pub fn fit(sample: &Sample, name: &str, (samples, seed): (u32, u64)) -> Result<Fitted, FitError> {
+pub fn fit(sample: &Sample, name: &str, samples: u32, seed: u64) -> Result<Fitted, FitError> {
     let parameter = |(number, observed): (&Number, &ObservedParameter)| ParameterSpec {
         name: number.name.clone(),
         field: number.field.clone(),

@@ -322,7 +322,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
     assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
     assert_eq!((followers.light, followers.heavy, followers.heavy_m), (28, 10, 12.5));
-    let Fitted { space, numbers, sizes, depending, .. } = fit(&sample, "mine", (19, 0)).unwrap();
+    let Fitted { space, numbers, sizes, depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
     assert_eq!((point.at, point.seen, numbers[2].chosen.distribution.ready().unwrap().share_below(0.0)), (0.0, 8, 0.0));
     assert_eq!((sizes[0].values[1].at, sizes[0].values[1].seen), (12.5, 10));

@@ -5,9 +5,11 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Effort, Estimate, Pilot, Problem, RareMethod, State};
+use super::splitting::{Problem, State};
+use super::{Effort, Estimate, Pilot, RareMethod};
 use crate::exposed::{ExposedRate, Part, Probability, estimate_again};
 use crumple_core::digest::sha256;
+use crumple_core::observer::{Counter, Stopped};
 use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_store::work::WorkError;
 use crumple_world::measure::{Specification, SpecificationError};
@@ -73,6 +75,9 @@ pub enum RareError {
     /// What was estimated earlier cannot be told to be of the same controller.
     #[error("the controller `{0}` states no identity: begin anew, without --resume, in another --out")]
     Unknown(String),
+    /// The observer stopped the estimate.
+    #[error("the estimate was {0}")]
+    Stopped(#[from] Stopped),
 }
 
 /// An estimate with all that decided it. No certificate: see [the module](super).
@@ -162,25 +167,6 @@ impl Problem for RarePlan {
 }
 
 impl RarePlan {
-    /// Places the levels. `done` hears of every batch of runs.
-    ///
-    /// # Errors
-    /// [`RareError`] if a run cannot be made.
-    pub fn pilot(&self, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
-        Pilot::run(self, self.method, self.effort, self.seed, done)
-    }
-
-    /// Estimates with the levels of a pilot. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to so many
-    /// `resamples` of them.
-    ///
-    /// # Errors
-    /// [`RareError`] if a run cannot be made.
-    pub fn report(&self, pilot: &Pilot, resamples: u32, done: &(dyn Fn(u64) + Sync)) -> Result<RareReport, RareError> {
-        let estimate = pilot.estimate(self, done)?;
-        let exposed = self.exposed(&estimate, resamples, &mut |space, seed| self.again(space, seed, done))?;
-        Ok(RareReport { exposed, ..self.record()?.report(estimate) })
-    }
-
     /// What an estimate comes to per hour, where the space says in how much driving its episodes were seen. `again` estimates in another space.
     pub(super) fn exposed(
         &self,
@@ -213,10 +199,10 @@ impl RarePlan {
     }
 
     /// An estimate in another space, with less effort.
-    pub(super) fn again(&self, space: &Space, seed: u64, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, RareError> {
+    pub(super) fn again(&self, space: &Space, seed: u64, counter: &Counter<'_>) -> Result<Estimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
         let other = Self { controller, space: space.clone(), specification, seed, effort: AGAIN, ..*self };
-        other.pilot(done)?.estimate(&other, done)
+        Pilot::run(&other, other.method, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
     /// All that decides the estimate, but the space's text.

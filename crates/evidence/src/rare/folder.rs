@@ -7,6 +7,7 @@ use serde_json::json;
 use super::driving::RareRecord;
 use super::progress::Progress;
 use super::{Pilot, RareError, RarePlan, RareReport};
+use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
 use crumple_store::work::{Asked, Work, WorkError};
 
 const ESTIMATE: &str = "rare-estimate.json";
@@ -94,29 +95,30 @@ impl RareFolder {
         self.progress.work().is_complete()
     }
 
-    /// Places the levels, or what is left of that, and keeps them. `done` hears of every batch of runs.
+    /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written.
-    pub fn pilot(&mut self, plan: &RarePlan, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
-        self.progress.pilot(plan, done)
+    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
+    pub fn pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
+        self.progress.pilot(plan, &Counter::new(observer, None))
     }
 
-    /// Estimates with the levels of the pilot, as [`RarePlan::report`] does, without what is in the folder already; keeps what it comes to as it
-    /// goes, and in the end the estimate.
+    /// Estimates with the levels of the pilot, without the repetitions that are in the folder already. Keeps each repetition, and in the end
+    /// the estimate. In a space fitted to episodes, estimates anew, with less effort, in the spaces fitted to `resamples` of them.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written.
+    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimate.
     pub fn report(
         &mut self,
         plan: &RarePlan,
         pilot: &Pilot,
         resamples: u32,
-        done: &(dyn Fn(u64) + Sync),
+        observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
-        let all = 0..plan.effort.repetitions as u64;
-        let repeated = self.progress.repeat(plan, pilot, all, done)?;
-        let report = self.exposed(plan, plan.record()?.report(pilot.summary([&repeated])), resamples, done)?;
+        let (all, counter) = (0..plan.effort.repetitions as u64, Counter::new(observer, None));
+        let repeated = self.progress.repeat(plan, pilot, all, &counter)?;
+        let report = plan.record()?.report(pilot.summary([&repeated]));
+        let report = self.per_hour(plan, report, resamples, &counter)?;
         self.keep(&report)?;
         Ok(report)
     }
@@ -124,17 +126,27 @@ impl RareFolder {
     /// An estimate with what it comes to per hour, where the space says in how much driving its episodes were seen.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written.
+    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimates in resamples.
     pub fn exposed(
         &mut self,
         plan: &RarePlan,
         report: RareReport,
         resamples: u32,
-        done: &(dyn Fn(u64) + Sync),
+        observer: &dyn Observer<RunProgress>,
+    ) -> Result<RareReport, RareError> {
+        self.per_hour(plan, report, resamples, &Counter::new(observer, None))
+    }
+
+    fn per_hour(
+        &mut self,
+        plan: &RarePlan,
+        report: RareReport,
+        resamples: u32,
+        counter: &Counter<'_>,
     ) -> Result<RareReport, RareError> {
         let mut again = self.progress.again(resamples);
         let exposed =
-            plan.exposed(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), done))?;
+            plan.exposed(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), counter))?;
         Ok(RareReport { exposed, ..report })
     }
 

@@ -13,7 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::mixture::{Around, Mixture, Seen};
 use super::splitting::{Climber, Sample, new_noise};
-use super::{Effort, Estimate, Level, Problem, Splitting, State};
+use super::splitting::{Problem, State};
+use super::{Effort, Estimate, Level, Splitting};
+use crumple_core::observer::Counter;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
@@ -75,7 +77,7 @@ impl Importance {
         problem: &P,
         mut begun: Fitting,
         keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let (effort, seed) = (begun.climbed.effort(), begun.climbed.seed());
         let stages = begun.climbed.stages().to_vec();
@@ -84,7 +86,7 @@ impl Importance {
         }
         while begun.mixture.is_none() && (begun.arrived.len() as u64) < POPULATIONS {
             let random = stream(seed, Purpose::RareEvents, APART + begun.arrived.len() as u64);
-            let mut climber = Climber::new(problem, effort.samples, random, done);
+            let mut climber = Climber::new(problem, effort.samples, random, counter);
             let there = climber.populations(&stages)?;
             begun.arrived.push(Arrived::of(&there, stages.len()));
             begun.runs += climber.evaluations;
@@ -98,7 +100,7 @@ impl Importance {
         for round in begun.rounds..ROUNDS {
             let Some(known) = &begun.mixture else { break };
             let random = stream(seed, Purpose::RareEvents, APART + POPULATIONS + 1 + round);
-            let mut climber = Climber::new(problem, DRAWS * effort.samples, random, done);
+            let mut climber = Climber::new(problem, DRAWS * effort.samples, random, counter);
             let failed = weighed(&mut climber, known)?;
             begun.runs += climber.evaluations;
             begun.mixture = known.refitted(&failed).or(begun.mixture);
@@ -129,13 +131,13 @@ impl Importance {
         &self,
         problem: &P,
         repetitions: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Vec<Weighed>, P::Error> {
         let Some(mixture) = &self.mixture else { return Ok(Vec::new()) };
         let (effort, seed) = (self.climbed.effort(), self.climbed.seed());
         let repeat = |index: u64| {
             let random = stream(seed, Purpose::RareEvents, 1 + index);
-            let mut climber = Climber::new(problem, effort.samples, random, done);
+            let mut climber = Climber::new(problem, effort.samples, random, counter);
             let failed = weighed(&mut climber, mixture)?;
             let (sum, largest) =
                 failed.iter().fold((0.0, 0.0_f64), |(sum, most), one| (sum + one.weight, most.max(one.weight)));

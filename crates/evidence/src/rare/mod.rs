@@ -52,7 +52,7 @@ pub use folder::RareFolder;
 pub use importance::Importance;
 pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
-pub use splitting::{MOST_LEVELS, PILOTS, Problem, Splitting, State};
+pub use splitting::{MOST_LEVELS, PILOTS, Splitting};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -5,8 +5,9 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::importance::{Fitting, Importance, Weighed};
-use super::splitting::Repetition;
-use super::{Effort, Estimate, Problem, RareMethod, Splitting};
+use super::splitting::{Problem, Repetition};
+use super::{Effort, Estimate, RareMethod, Splitting};
+use crumple_core::observer::Counter;
 
 /// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
 /// down costs milliseconds.
@@ -33,18 +34,18 @@ pub enum Repetitions {
 }
 
 impl Pilot {
-    /// Runs the pilot. `done` hears of every batch of runs.
+    /// Runs the pilot.
     ///
     /// # Errors
     /// Those of the problem.
-    pub fn run<P: Problem>(
+    pub(super) fn run<P: Problem>(
         problem: &P,
         method: RareMethod,
         effort: Effort,
         seed: u64,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
-        Self::go_on(problem, (method, effort, seed), None, &mut |_| Ok(()), done)
+        Self::go_on(problem, (method, effort, seed), None, &mut |_| Ok(()), counter)
     }
 
     /// Runs the pilot, or what is left of it where something is being fitted. `keep` hears of all that is worth keeping on the way.
@@ -53,18 +54,20 @@ impl Pilot {
         (method, effort, seed): (RareMethod, Effort, u64),
         begun: Option<Fitting>,
         keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let begun = match (method, begun) {
-            (RareMethod::Splitting, _) => return Ok(Self::Splitting(Splitting::pilot(problem, effort, seed, done)?)),
+            (RareMethod::Splitting, _) => {
+                return Ok(Self::Splitting(Splitting::pilot(problem, effort, seed, counter)?));
+            }
             (RareMethod::Importance, Some(begun)) => begun,
             (RareMethod::Importance, None) => {
-                let begun = Fitting::of(Splitting::pilot(problem, effort, seed, done)?);
+                let begun = Fitting::of(Splitting::pilot(problem, effort, seed, counter)?);
                 keep(&begun)?;
                 begun
             }
         };
-        Ok(Self::Importance(Importance::pilot(problem, begun, keep, done)?))
+        Ok(Self::Importance(Importance::pilot(problem, begun, keep, counter)?))
     }
 
     /// Whether it reached a failure.
@@ -85,28 +88,28 @@ impl Pilot {
         }
     }
 
-    /// Runs all repetitions. The result depends neither on the number of threads nor on `done`.
+    /// Runs all repetitions. The result does not depend on the number of threads.
     ///
     /// # Errors
     /// Those of the problem.
-    pub fn estimate<P: Problem>(&self, problem: &P, done: &(dyn Fn(u64) + Sync)) -> Result<Estimate, P::Error> {
-        Ok(self.summary([&self.repeat(problem, 0..self.levels().effort().repetitions as u64, done)?]))
+    pub(super) fn estimate<P: Problem>(&self, problem: &P, counter: &Counter<'_>) -> Result<Estimate, P::Error> {
+        Ok(self.summary([&self.repeat(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
     }
 
     /// Runs some of the repetitions: each is a function of the seed and its number alone. None where no failure was reached.
     ///
     /// # Errors
     /// Those of the problem.
-    pub fn repeat<P: Problem>(
+    pub(super) fn repeat<P: Problem>(
         &self,
         problem: &P,
         range: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Repetitions, P::Error> {
         let range = range.start..range.end.min(self.levels().effort().repetitions as u64);
         Ok(match self {
-            Self::Splitting(levels) => Repetitions::Splitting(levels.repeat(problem, range, done)?),
-            Self::Importance(proposal) => Repetitions::Importance(proposal.repeat(problem, range, done)?),
+            Self::Splitting(levels) => Repetitions::Splitting(levels.repeat(problem, range, counter)?),
+            Self::Importance(proposal) => Repetitions::Importance(proposal.repeat(problem, range, counter)?),
         })
     }
 

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::driving::RareRecord;
 use super::importance::Fitting;
 use super::{Estimate, Pilot, RareError, RarePlan, Repetitions};
+use crumple_core::observer::Counter;
 use crumple_store::work::{Work, WorkError};
 use crumple_world::scenario::space::Space;
 
@@ -64,7 +65,7 @@ impl Progress {
     }
 
     /// The pilot that is there, or what is left of it.
-    pub(super) fn pilot(&mut self, plan: &RarePlan, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
+    pub(super) fn pilot(&mut self, plan: &RarePlan, counter: &Counter<'_>) -> Result<Pilot, RareError> {
         let dimension = plan.space.dimension();
         let may_be = |fitting: &Fitting| fitting.may_be(plan.effort, plan.seed, dimension);
         if !self.found.pilot.iter().all(|pilot| pilot.is_in(dimension)) || !self.found.fitting.iter().all(may_be) {
@@ -78,7 +79,7 @@ impl Progress {
             Found { fitting: Some(fitting.clone()), ..Found::default() }.keep(work)
         };
         let asked = (plan.method, plan.effort, plan.seed);
-        let pilot = Pilot::go_on(plan, asked, self.found.fitting.take(), &mut keep, done)?;
+        let pilot = Pilot::go_on(plan, asked, self.found.fitting.take(), &mut keep, counter)?;
         self.found.pilot = Some(pilot.clone());
         self.found.keep(&self.work)?;
         Ok(pilot)
@@ -95,17 +96,17 @@ impl Progress {
         plan: &RarePlan,
         pilot: &Pilot,
         own: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Repetitions, RareError> {
         let mut next = own.start + self.kept_repetitions();
         // Where the pilot reached no failure, there are none to make.
         let mut repetitions = match self.found.repetitions.take() {
             Some(kept) => kept,
-            None => pilot.repeat(plan, own.start..own.start, done)?,
+            None => pilot.repeat(plan, own.start..own.start, counter)?,
         };
         while pilot.reaches_failure() && next < own.end {
             let end = own.end.min(next.saturating_add(pilot.kept_together()));
-            repetitions.append(pilot.repeat(plan, next..end, done)?);
+            repetitions.append(pilot.repeat(plan, next..end, counter)?);
             next = end;
             self.found.repetitions = Some(repetitions.clone());
             self.found.keep(&self.work)?;
@@ -141,7 +142,7 @@ impl Again<'_> {
         &mut self,
         plan: &RarePlan,
         (space, seed): (&Space, u64),
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Estimate, RareError> {
         let found = &mut self.progress.found;
         let kept = found.resampled.as_ref().and_then(|resampled| resampled.estimates.get(self.next)).cloned();
@@ -149,7 +150,7 @@ impl Again<'_> {
         if let Some(kept) = kept {
             return Ok(kept);
         }
-        let estimate = plan.again(space, seed, done)?;
+        let estimate = plan.again(space, seed, counter)?;
         if let Some(resampled) = &mut found.resampled {
             resampled.estimates.push(estimate.clone());
         }

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::progress::PROGRESS;
 use super::*;
+use crumple_core::observer::{Listener, Progress as RunProgress};
 use crumple_store::shard::Shard;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
@@ -28,44 +29,31 @@ fn on<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
-/// Ends the thread, as somebody who pulls the plug ends the process, after so many runs.
-struct Plug {
-    left: AtomicU64,
-}
-
-impl Plug {
-    fn after(runs: u64) -> Self {
-        Self { left: AtomicU64::new(runs) }
-    }
-
-    fn told(&self, runs: u64) {
-        let before = self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(runs));
-        assert!(before.is_ok(), "{PULLED}");
-    }
-}
-
-const PULLED: &str = "the plug is pulled";
-
 /// Makes an estimate, or a shard of one, in a folder; says how many runs it took, or that it was interrupted.
 fn made(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Option<u64> {
-    let (plug, runs) = (Plug::after(plug), AtomicU64::new(0));
-    let done = |made: u64| {
-        plug.told(made);
-        runs.fetch_add(made, Ordering::SeqCst);
+    let runs = AtomicU64::new(0);
+    // Pilot and repetitions both count from 0.
+    let after = |before: u64| {
+        let runs = &runs;
+        Listener(move |progress: &RunProgress| {
+            assert!(before + progress.done <= plug, "the plug is pulled");
+            runs.fetch_max(before + progress.done, Ordering::SeqCst);
+        })
     };
+    let so_far = || runs.load(Ordering::SeqCst);
     let work = || match shard {
         Some(shard) => {
-            let mut part = plan.shard_in_folder((shard, 0), folder, true).unwrap();
+            let mut part = plan.shard_in_folder(shard, 0, folder, true).unwrap();
             if !part.is_complete() {
-                let pilot = part.pilot(&done).unwrap();
-                part.repeat(&pilot, &done).unwrap();
+                let pilot = part.pilot(&after(0)).unwrap();
+                part.repeat(&pilot, &after(so_far())).unwrap();
             }
         }
         None => {
             let mut kept = plan.in_folder(folder, true).unwrap();
             if kept.kept().unwrap().is_none() {
-                let pilot = kept.pilot(plan, &done).unwrap();
-                kept.report(plan, &pilot, 0, &done).unwrap();
+                let pilot = kept.pilot(plan, &after(0)).unwrap();
+                kept.report(plan, &pilot, 0, &after(so_far())).unwrap();
             }
         }
     };

@@ -12,6 +12,7 @@ use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
 use crate::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
 use crumple_core::digest::sha256;
+use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
 use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
 use crumple_store::work::{Finished, WorkError};
 use crumple_world::scenario::space::{Space, file};
@@ -109,7 +110,8 @@ impl RarePlan {
     /// holds something else, or is damaged.
     pub fn shard_in_folder(
         &self,
-        (shard, resamples): (Shard, u32),
+        shard: Shard,
+        resamples: u32,
         folder: &Path,
         resume: bool,
     ) -> Result<RareShard<'_>, RareError> {
@@ -137,29 +139,29 @@ impl RareShard<'_> {
         self.progress.work().is_complete()
     }
 
-    /// Places the levels, or what is left of that, and keeps them. `done` hears of every batch of runs.
+    /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written.
-    pub fn pilot(&mut self, done: &(dyn Fn(u64) + Sync)) -> Result<Pilot, RareError> {
-        self.progress.pilot(self.plan, done)
+    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
+    pub fn pilot(&mut self, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
+        self.progress.pilot(self.plan, &Counter::new(observer, None))
     }
 
     /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples, without what is in the folder already.
-    /// `done` hears of every batch of runs.
     ///
     /// # Errors
-    /// [`RareError`] if a run cannot be made or a file not written.
-    pub fn repeat(&mut self, pilot: &Pilot, done: &(dyn Fn(u64) + Sync)) -> Result<(), RareError> {
+    /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the shard.
+    pub fn repeat(&mut self, pilot: &Pilot, observer: &dyn Observer<RunProgress>) -> Result<(), RareError> {
+        let counter = Counter::new(observer, None);
         let all = self.plan.effort.repetitions as u64;
         let range = self.shard.range(all, ShardedEstimate::PARTS)?;
         let own = own_resamples(self.resamples, &range, all);
         let (plan, resamples) = (self.plan, self.resamples);
-        let repetitions = self.progress.repeat(plan, pilot, range, done)?;
+        let repetitions = self.progress.repeat(plan, pilot, range, &counter)?;
         let resampled = match pilot.reaches_failure() {
             true => {
                 let mut again = self.progress.again(resamples);
-                plan.resampled(resamples, own, &mut |space, seed| again.next(plan, (space, seed), done))?
+                plan.resampled(resamples, own, &mut |space, seed| again.next(plan, (space, seed), &counter))?
             }
             false => Vec::new(),
         };

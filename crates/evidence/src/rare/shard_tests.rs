@@ -5,6 +5,7 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 
 use super::*;
+use crumple_core::observer::Quiet;
 use crumple_store::shard::{MergeError, Shard};
 use crumple_store::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
@@ -40,14 +41,18 @@ fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
 /// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
 fn put_together(seed: u64) {
     let (plan, root) = (plan(seed), tempfile::tempdir().unwrap());
-    let pilot = plan.pilot(&|_| ()).unwrap();
     let single = root.path().join("single");
-    plan.in_folder(&single, false).unwrap().keep(&plan.report(&pilot, 0, &|_| ()).unwrap()).unwrap();
+    let pilot = {
+        let mut folder = plan.in_folder(&single, false).unwrap();
+        let pilot = folder.pilot(&plan, &Quiet).unwrap();
+        folder.report(&plan, &pilot, 0, &Quiet).unwrap();
+        pilot
+    };
     let made = |index: u32, of: u32| -> PathBuf {
         let folder = root.path().join(format!("{index}-of-{of}"));
-        let mut part = plan.shard_in_folder((Shard::new(index, of).unwrap(), 0), &folder, true).unwrap();
+        let mut part = plan.shard_in_folder(Shard::new(index, of).unwrap(), 0, &folder, true).unwrap();
         if !part.is_complete() {
-            part.repeat(&pilot, &|_| ()).unwrap();
+            part.repeat(&pilot, &Quiet).unwrap();
         }
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 4);
         folder
@@ -80,8 +85,9 @@ fn put_together(seed: u64) {
     let overlapping = merged.take(&made(2, 7), &finished(&made(2, 7))).unwrap_err();
     assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
     let (other, folder) = (self::plan(3), root.path().join("other"));
-    let mut part = other.shard_in_folder((Shard::new(2, 2).unwrap(), 0), &folder, false).unwrap();
-    part.repeat(&other.pilot(&|_| ()).unwrap(), &|_| ()).unwrap();
+    let mut part = other.shard_in_folder(Shard::new(2, 2).unwrap(), 0, &folder, false).unwrap();
+    let pilot = part.pilot(&Quiet).unwrap();
+    part.repeat(&pilot, &Quiet).unwrap();
     assert!(matches!(merged.take(&folder, &finished(&folder)), Err(MergeError::Foreign { .. })));
-    assert!(plan.shard_in_folder((Shard::new(1, 8).unwrap(), 0), &folder, false).is_err());
+    assert!(plan.shard_in_folder(Shard::new(1, 8).unwrap(), 0, &folder, false).is_err());
 }

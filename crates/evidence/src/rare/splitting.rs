@@ -10,6 +10,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Effort, Estimate, Level};
 use crate::RateInterval;
+use crumple_core::observer::{Counter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
@@ -33,7 +34,7 @@ const SMALLEST_STEP: f64 = 0.02;
 
 /// Everything that chance decides in a run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct State {
+pub(super) struct State {
     /// Independent standard normal numbers, one a parameter.
     pub normal: Vec<f64>,
     /// Seed of all noise.
@@ -41,9 +42,9 @@ pub struct State {
 }
 
 /// Runs with a margin.
-pub trait Problem: Sync {
+pub(super) trait Problem: Sync {
     /// Why a run cannot be made.
-    type Error: Send;
+    type Error: From<Stopped> + Send;
 
     /// How many standard normal numbers decide a run.
     fn dimension(&self) -> usize;
@@ -99,7 +100,7 @@ pub(super) struct Climber<'a, P: Problem> {
     samples: usize,
     random: Stream,
     pub(super) evaluations: u64,
-    done: &'a (dyn Fn(u64) + Sync),
+    counter: &'a Counter<'a>,
 }
 
 /// What came of one repetition.
@@ -124,23 +125,23 @@ struct Seen {
 }
 
 impl Splitting {
-    /// Runs the pilot, and larger ones where it reaches no failure. `done` hears of every batch of runs.
+    /// Runs the pilot, and larger ones where it reaches no failure.
     ///
     /// # Errors
     /// Those of the problem.
-    pub fn pilot<P: Problem>(
+    pub(super) fn pilot<P: Problem>(
         problem: &P,
         effort: Effort,
         seed: u64,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
-        let mut pilot = Self::of_pilot(problem, effort, seed, 0, done)?;
+        let mut pilot = Self::of_pilot(problem, effort, seed, 0, counter)?;
         let first = (pilot.pilot_draws, pilot.pilot_failures);
         for attempt in 1..PILOTS.len() {
             if pilot.reached {
                 break;
             }
-            let next = Self::of_pilot(problem, effort, seed, attempt, done)?;
+            let next = Self::of_pilot(problem, effort, seed, attempt, counter)?;
             // Whether there is a next one is not independent of what the draws before came to: with repetitions, those do that there are
             // in any case.
             let (draws, failures) = match next.reached {
@@ -158,12 +159,12 @@ impl Splitting {
         effort: Effort,
         seed: u64,
         attempt: usize,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let effort = effort.at_least();
         let samples = effort.samples * PILOTS.get(attempt).copied().unwrap_or(1);
         let own = if attempt == 0 { 0 } else { MORE_PILOTS + attempt as u64 };
-        let mut climber = Climber::new(problem, samples, stream(seed, Purpose::RareEvents, own), done);
+        let mut climber = Climber::new(problem, samples, stream(seed, Purpose::RareEvents, own), counter);
         let mut population = climber.first()?;
         let (pilot_draws, pilot_failures) = (samples as u64, failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
@@ -263,16 +264,16 @@ impl Splitting {
     ///
     /// # Errors
     /// Those of the problem.
-    pub fn repeat<P: Problem>(
+    pub(super) fn repeat<P: Problem>(
         &self,
         problem: &P,
         repetitions: Range<u64>,
-        done: &(dyn Fn(u64) + Sync),
+        counter: &Counter<'_>,
     ) -> Result<Vec<Repetition>, P::Error> {
         let repetitions = if self.reached { repetitions } else { 0..0 };
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
-            let mut climber = Climber::new(problem, self.effort.samples, random, done);
+            let mut climber = Climber::new(problem, self.effort.samples, random, counter);
             let mut seen = Vec::with_capacity(self.stages.len());
             let failures = climber.climb(&self.stages, None, |here, _| seen.push(here))?;
             Ok(Repetition { failures, seen, evaluations: climber.evaluations })
@@ -403,8 +404,8 @@ fn failures(population: &[Sample]) -> u64 {
 }
 
 impl<'a, P: Problem> Climber<'a, P> {
-    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, done: &'a (dyn Fn(u64) + Sync)) -> Self {
-        Self { problem, samples, random, evaluations: 0, done }
+    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, counter: &'a Counter<'a>) -> Self {
+        Self { problem, samples, random, evaluations: 0, counter }
     }
 
     /// Takes a population down the levels, and says how many runs failed of the first ones; `told` hears at each level what was seen, and
@@ -510,7 +511,7 @@ impl<'a, P: Problem> Climber<'a, P> {
         let mut margins = self.problem.margins(states)?;
         margins.iter_mut().filter(|margin| margin.is_nan()).for_each(|margin| *margin = f64::INFINITY);
         self.evaluations += states.len() as u64;
-        (self.done)(states.len() as u64);
+        self.counter.add(states.len() as u64)?;
         Ok(margins)
     }
 }

@@ -1,14 +1,15 @@
 //! Problems whose probability is known.
 
-use std::convert::Infallible;
 use std::f64::consts::SQRT_2;
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use super::splitting::{Problem, State};
 use super::*;
 use crate::{RateConfig, RatePlan};
+use crumple_core::observer::{Counter, Quiet, Stopped};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -23,15 +24,19 @@ struct Known {
 }
 
 impl Problem for Known {
-    type Error = Infallible;
+    type Error = Stopped;
 
     fn dimension(&self) -> usize {
         self.dimension
     }
 
-    fn margins(&self, states: &[State]) -> Result<Vec<f64>, Infallible> {
+    fn margins(&self, states: &[State]) -> Result<Vec<f64>, Stopped> {
         Ok(states.iter().map(self.margin).collect())
     }
+}
+
+fn counter() -> Counter<'static> {
+    Counter::new(&Quiet, None)
 }
 
 fn estimate(problem: &Known, seed: u64) -> Estimate {
@@ -39,8 +44,8 @@ fn estimate(problem: &Known, seed: u64) -> Estimate {
 }
 
 fn estimate_by(method: RareMethod, problem: &Known, seed: u64) -> Estimate {
-    let pilot = Pilot::run(problem, method, Effort::default(), seed, &|_| {}).unwrap();
-    pilot.estimate(problem, &|_| {}).unwrap()
+    let pilot = Pilot::run(problem, method, Effort::default(), seed, &counter()).unwrap();
+    pilot.estimate(problem, &counter()).unwrap()
 }
 
 fn upper_tail(x: f64) -> f64 {
@@ -246,10 +251,10 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     let effort = Effort { samples: 100, repetitions: 10 };
     let (mut found, mut again) = (Vec::new(), 0);
     for seed in 0..200 {
-        let first = Splitting::of_pilot(&problem, effort, seed, 0, &|_| {}).unwrap();
+        let first = Splitting::of_pilot(&problem, effort, seed, 0, &counter()).unwrap();
         again += usize::from(!first.reaches_failure());
-        let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &|_| {}).unwrap();
-        let estimate = pilot.estimate(&problem, &|_| {}).unwrap();
+        let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &counter()).unwrap();
+        let estimate = pilot.estimate(&problem, &counter()).unwrap();
         assert_eq!(estimate.independent_runs, 1100);
         found.push(estimate.probability.unwrap() / truth);
     }
@@ -257,8 +262,8 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     println!("{again} went on, mean {mean:.3}");
     assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
     let never =
-        Pilot::run(&Known { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &|_| {}).unwrap();
-    let nothing = never.estimate(&problem, &|_| {}).unwrap();
+        Pilot::run(&Known { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &counter()).unwrap();
+    let nothing = never.estimate(&problem, &counter()).unwrap();
     assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
 }
 
@@ -281,15 +286,9 @@ fn splitting_agrees_with_counting_on_the_road() {
     let controller = NamedController::from(ControllerSpec::named("match-leader").unwrap());
     let space = built_in_space("paper").unwrap();
     let estimator = EstimatorKind::Kalman;
-    let count = RatePlan::new(RateConfig {
-        controllers: (controller.clone(), None),
-        space: space.clone(),
-        seed: 1,
-        estimator,
-        runs: COUNTED,
-        confidence: 0.99,
-    })
-    .unwrap();
+    let count =
+        RatePlan::new(RateConfig { seed: 1, estimator, ..RateConfig::new(controller.clone(), space.clone(), COUNTED) })
+            .unwrap();
     let mut tally = count.tally();
     while tally.runs < COUNTED {
         count.count_block(&mut tally).unwrap();
@@ -304,7 +303,10 @@ fn splitting_agrees_with_counting_on_the_road() {
         seed: 5,
         effort: Effort { samples: 200, repetitions: 10 },
     };
-    let report = plan.report(&plan.pilot(&|_| {}).unwrap(), 0, &|_| {}).unwrap();
+    let root = tempfile::tempdir().unwrap();
+    let mut folder = plan.in_folder(root.path(), false).unwrap();
+    let pilot = folder.pilot(&plan, &Quiet).unwrap();
+    let report = folder.report(&plan, &pilot, 0, &Quiet).unwrap();
     let (climbed, variation) =
         (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());
     assert!((0.004..0.02).contains(&counted), "{counted}");

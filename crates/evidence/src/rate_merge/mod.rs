@@ -142,7 +142,7 @@ impl MergedCount {
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
         let mut kept = PutTogether::of(self.parts().contents().flat_map(|part| &part.resampled).copied().collect());
-        let resamples = run_again(&space, seed, resampling, &mut |_: &Space, _, _| kept.next());
+        let resamples = run_again(&space, seed, resampling.0, resampling.1, &mut |_: &Space, _, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =
             resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;

@@ -1,12 +1,12 @@
 use std::collections::HashMap;
 use std::fs;
-use std::ops::ControlFlow;
 
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
 use crate::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crumple_core::observer::Quiet;
 use crumple_store::shard::Shard;
 use crumple_store::work::{Finished, Found, find};
 use crumple_world::control::ControllerSpec;
@@ -23,7 +23,8 @@ fn plan(seed: u64) -> RatePlan {
 fn plan_of(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
     let named = |name: &str| ControllerSpec::named(name).unwrap().into();
     RatePlan::new(RateConfig {
-        controllers: (named(controller), against.map(named)),
+        controller: named(controller),
+        against: against.map(named),
         space: built_in_space("high-risk").unwrap(),
         seed,
         estimator: EstimatorKind::Truth,
@@ -55,7 +56,7 @@ fn taken(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeErr
 fn whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
     let folder = tempfile::tempdir().unwrap();
     let mut count = plan.register_in(folder.path(), false).unwrap();
-    count.certificate(&mut |_, _| ControlFlow::Continue(())).unwrap();
+    count.certificate(&Quiet).unwrap();
     let tally = count.tally().clone();
     (folder, tally)
 }
@@ -75,7 +76,7 @@ impl<'a> Shards<'a> {
     fn folder(&mut self, shard: Shard) -> PathBuf {
         let make = || {
             let folder = self.root.path().join(format!("{}-of-{}", shard.index(), shard.of()));
-            self.plan.register_shard_in(shard, &folder, false).unwrap().count(&mut |_| ()).unwrap();
+            self.plan.register_shard_in(shard, &folder, false).unwrap().count(&Quiet).unwrap();
             folder
         };
         self.counted.entry(shard).or_insert_with(make).clone()
@@ -164,7 +165,7 @@ fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
     let half = tempfile::tempdir().unwrap();
     plan.register_shard_in(shard(2, 2), half.path(), false).unwrap();
     assert!(matches!(find(half.path()).unwrap(), Found::HalfDone(kind) if kind == SHARD_OF_A_COUNT));
-    plan.register_shard_in(shard(2, 2), half.path(), true).unwrap().count(&mut |_| ()).unwrap();
+    plan.register_shard_in(shard(2, 2), half.path(), true).unwrap().count(&Quiet).unwrap();
     let mut merged = None;
     taken(&mut merged, half.path()).unwrap();
     taken(&mut merged, &shards.folder(shard(1, 2))).unwrap();

@@ -48,7 +48,7 @@ impl Map {
         let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
         let mut cells = vec![Cell::default(); across.cells.len() * up.cells.len()];
         for (index, (method, evaluated)) in look.evaluations().iter().enumerate() {
-            let Some(fails) = chosen.of(look, *method, evaluated) else { continue };
+            let Some(fails) = chosen.of(look, method, evaluated) else { continue };
             let at = |side: &Side, coordinate: usize| {
                 let share = evaluated.point.get(coordinate).copied().unwrap_or(0.0);
                 ((share * side.cells.len() as f64) as usize).min(side.cells.len() - 1)

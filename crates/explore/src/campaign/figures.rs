@@ -30,7 +30,7 @@ pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
         for method in one.look.methods() {
             let name =
                 if shown.len() > 1 { format!("{}: {}", one.name, method.name()) } else { method.name().to_owned() };
-            lines.push((name, falling(one, method)));
+            lines.push((name, falling(one, &method)));
         }
     }
     let all = || lines.iter().flat_map(|(_, line)| line);
@@ -62,10 +62,10 @@ pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
 }
 
 /// Where the smallest robustness of a method falls, and where it is in the end.
-fn falling(one: &Shown<'_>, wanted: Method) -> Vec<(f64, f64)> {
+fn falling(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let (mut least, mut last) = (f64::INFINITY, 0);
-    for (_, evaluated) in one.look.evaluations().iter().filter(|(method, _)| *method == wanted) {
+    for (_, evaluated) in one.look.evaluations().iter().filter(|(method, _)| method == wanted) {
         last = evaluated.number;
         let robustness = evaluated.verdict.robustness;
         if robustness.is_finite() && robustness < least {

@@ -65,7 +65,7 @@ pub(crate) struct Seen {
     coordinates: Vec<String>,
     across: String,
     up: String,
-    methods: Vec<&'static str>,
+    methods: Vec<String>,
     kinds: Vec<String>,
     best: String,
     front: String,
@@ -162,7 +162,7 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
         words: shown.iter().map(words).collect(),
         across: name(across),
         up: name(up),
-        methods: look.methods().into_iter().map(Method::name).collect(),
+        methods: look.methods().iter().map(Method::to_string).collect(),
         best: plain(figures::best(&shown, request.narrow)),
         front: plain(figures::front(&shown, request.narrow)),
         maps: plain(maps),
@@ -186,7 +186,7 @@ pub(crate) struct Chosen<'a> {
 
 impl Chosen<'_> {
     /// Whether an evaluation is among it, and whether it fails.
-    fn of(&self, look: &Look, method: Method, evaluated: &Evaluated) -> Option<bool> {
+    fn of(&self, look: &Look, method: &Method, evaluated: &Evaluated) -> Option<bool> {
         if self.method.is_some_and(|wanted| wanted != method.name()) {
             return None;
         }
@@ -265,7 +265,7 @@ fn failures(shown: &[Shown<'_>], chosen: &Chosen<'_>) -> Markup {
     let list = |one: &Shown<'_>| {
         let rows = one.look.evaluations().iter().enumerate();
         let mut failing: Vec<_> =
-            rows.filter(|(_, (method, evaluated))| chosen.of(one.look, *method, evaluated) == Some(true)).collect();
+            rows.filter(|(_, (method, evaluated))| chosen.of(one.look, method, evaluated) == Some(true)).collect();
         match one.look.summary() {
             None => failing.reverse(),
             Some(_) => {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::files::{add, read_json, write_json};
+use super::progress::{RetrainingProgress, Watch};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::work::{Work, WorkError};
@@ -125,12 +126,12 @@ impl Corpus {
 
     /// The corpus in a file, gathered first if it is not there or not complete.
     pub(super) fn at(
-        (work, name): (&Work, &str),
+        (work, name): (&Work, &'static str),
         space: &Space,
         (seed, wanted): (u64, u64),
         witnesses: &[NamedController],
         estimator: EstimatorKind,
-        progress: &mut dyn FnMut(u64),
+        watch: &Watch<'_>,
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::begin(space, seed)?;
         if let Some(found) = read_json::<Self>(work, name)? {
@@ -141,7 +142,7 @@ impl Corpus {
             corpus = found;
         }
         while corpus.scenarios_sha256.is_empty() {
-            progress(corpus.avoidable);
+            watch.notify(&RetrainingProgress::Gathering { what: name, done: corpus.avoidable, wanted })?;
             if corpus.avoidable < wanted {
                 corpus.grow(space, wanted, witnesses, estimator, |_| {})?;
             } else {

@@ -1,6 +1,7 @@
 //! Why a retraining stops.
 
 use crate::rl::TrainingError;
+use crumple_core::observer::Stopped;
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
@@ -62,6 +63,9 @@ pub enum RetrainError {
     /// A policy cannot be read or written.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// The observer stopped the retraining.
+    #[error("the retraining was {0}")]
+    Stopped(#[from] Stopped),
     /// A file cannot be encoded.
     #[error("cannot encode a file of the retraining: {0}")]
     Encoding(String),

@@ -8,6 +8,7 @@ use super::RetrainError;
 use super::corpus::Corpus;
 use super::files::{read_json, write_json};
 use super::plan::{JUDGED_SEED, RetrainingPlan};
+use super::progress::{RetrainingProgress, Watch};
 use crumple_evidence::RateInterval;
 use crumple_store::work::Work;
 use crumple_world::sim::{Contact, NamedController};
@@ -75,10 +76,10 @@ pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
 impl Judged {
     /// The judgement in a file, made first if it is not there or not complete. The first two contenders are compared.
     pub(super) fn at(
-        (work, name): (&Work, &str),
+        (work, name): (&Work, &'static str),
         plan: &RetrainingPlan,
         contenders: &[NamedController],
-        progress: &mut dyn FnMut(u64),
+        watch: &Watch<'_>,
     ) -> Result<Self, RetrainError> {
         let (space, wanted) = (&plan.space, plan.settings.judged);
         let mut judged = match read_json(work, name)? {
@@ -91,7 +92,7 @@ impl Judged {
         };
         while judged.corpus.scenarios_sha256.is_empty() {
             let Self { corpus, tallies, pairs } = &mut judged;
-            progress(corpus.avoidable);
+            watch.notify(&RetrainingProgress::Gathering { what: name, done: corpus.avoidable, wanted })?;
             if corpus.avoidable < wanted {
                 let count = |contacts: &[Option<Contact>]| {
                     tallies.iter_mut().zip(contacts).for_each(|(tally, contact)| tally.add(contact.as_ref()));

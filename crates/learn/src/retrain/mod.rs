@@ -51,7 +51,7 @@ pub use corpus::{CORPUS_VERSION, Corpus};
 pub use error::RetrainError;
 pub use judged::{Judged, Pairs, Tally};
 pub use plan::{RETRAIN_VERSION, RetrainingPlan, Settings, TRAINING_PRESET_TEXT, training_preset};
-pub use progress::Progress;
+pub use progress::RetrainingProgress;
 pub use regression::{InSpace, SIGNIFICANCE};
 pub use report::{Ending, FileHash, Report};
 pub use round::{Checkpoint, Round, RoundFindings, Trained};

@@ -1,10 +1,11 @@
 //! Progress of a retraining.
 
-use crumple_search::falsify::campaign;
+use crumple_core::observer::Observer;
+use crumple_search::falsify::campaign::CampaignProgress;
 
 /// Progress of a retraining.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Progress {
+#[derive(Debug, Clone, PartialEq)]
+pub enum RetrainingProgress {
     /// Draws are classed for a corpus.
     Gathering {
         /// Corpus file that the scenarios are gathered for.
@@ -18,8 +19,8 @@ pub enum Progress {
     Searching {
         /// Round, from 1.
         round: u64,
-        /// How far the campaign is.
-        state: campaign::Progress,
+        /// Progress of the campaign.
+        state: CampaignProgress,
     },
     /// Draws of the space are driven and classed.
     Drawing {
@@ -46,5 +47,5 @@ pub enum Progress {
     },
 }
 
-/// A function that receives the progress.
-pub(super) type Show<'a> = dyn FnMut(Progress) + 'a;
+/// Receives the progress, and may stop the retraining.
+pub(super) type Watch<'a> = dyn Observer<RetrainingProgress> + 'a;

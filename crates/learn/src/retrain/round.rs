@@ -10,14 +10,13 @@ use super::corpus::{Corpus, classes, drive};
 use super::files::{LEARNER, RECORD, SELECTION, read_json, write_json};
 use super::judged::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
-use super::progress::{Progress, Show};
+use super::progress::{RetrainingProgress, Watch};
 use super::regression::Regression;
 use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
-use crumple_search::falsify::campaign::{Aim, Campaign};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_store::work::{Work, WorkError};
-use crumple_world::measure::Specification;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -151,7 +150,7 @@ impl RoundContext<'_> {
     }
 
     /// Searches for failures; all that was kept is in the result.
-    pub(super) fn search(&self, show: &mut Show<'_>) -> Result<RoundFindings, RetrainError> {
+    pub(super) fn search(&self, watch: &Watch<'_>) -> Result<RoundFindings, RetrainError> {
         if let Some(found) = read_json(self.work, &self.name(FOUND))? {
             return Ok(found);
         }
@@ -161,25 +160,27 @@ impl RoundContext<'_> {
         // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
         let name = "../../before.safetensors".to_owned();
         let campaign = Campaign {
-            controller: NamedController { name, kind: ControllerKind::Policy(Arc::clone(&self.policy)) },
             estimator: plan.estimator(),
-            space: plan.space.clone(),
-            specification: Specification::NoContact,
-            contrast: None,
-            aim: Aim::default(),
-            method: plan.method,
+            method: plan.method.clone(),
             budget: plan.settings.budget,
             seed: plan.search_seed(round),
+            ..Campaign::new(
+                NamedController { name, kind: ControllerKind::Policy(Arc::clone(&self.policy)) },
+                plan.space.clone(),
+            )
         };
         let path = self.work.path(&folder);
-        let summary = campaign.run(&path, true, &mut |state| show(Progress::Searching { round, state: *state }))?;
+        let searching =
+            |state: &CampaignProgress| watch.observe(&RetrainingProgress::Searching { round, state: state.clone() });
+        let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
+        let summary = campaign.run(&path, options, &searching)?;
         self.work.include(&folder)?;
         let classed = |class| summary.counterexamples.iter().filter(move |one| one.avoidability.class() == class);
         let [avoidable, unavoidable, undecided] =
             [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
                 .map(|class| classed(class).count());
         let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
-        let (draws_touched, draws_avoidable) = self.draws(show)?;
+        let (draws_touched, draws_avoidable) = self.draws(watch)?;
         let found = RoundFindings {
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             failures: summary.methods.iter().map(|method| method.failures).sum(),
@@ -196,10 +197,10 @@ impl RoundContext<'_> {
     }
 
     /// Draws that end in contact: how many, and which of them could have been avoided.
-    fn draws(&self, show: &mut Show<'_>) -> Result<(usize, TouchedDraws), RetrainError> {
+    fn draws(&self, watch: &Watch<'_>) -> Result<(usize, TouchedDraws), RetrainError> {
         let (plan, round) = (self.plan, self.number());
         let seed = plan.search_seed(round);
-        show(Progress::Drawing { round, draws: plan.settings.draws });
+        watch.notify(&RetrainingProgress::Drawing { round, draws: plan.settings.draws })?;
         let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
         let contacts = drive(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
         let touched = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
@@ -229,14 +230,9 @@ impl RoundContext<'_> {
     }
 
     /// Trains on, judges and decides; leaves the record of the round behind.
-    pub(super) fn finish(
-        &self,
-        found: RoundFindings,
-        cases: &Cases,
-        show: &mut Show<'_>,
-    ) -> Result<Round, RetrainError> {
+    pub(super) fn finish(&self, found: RoundFindings, cases: &Cases, watch: &Watch<'_>) -> Result<Round, RetrainError> {
         let scenarios = cases.scenarios(&self.plan.space)?;
-        let (trained, candidate, problem) = match self.train(cases, show) {
+        let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
                 self.work.changes().remove(&self.name(LEARNER)).commit()?;
@@ -246,7 +242,7 @@ impl RoundContext<'_> {
             }
             Err(other) => return Err(other),
         };
-        show(Progress::Judging { round: self.number() });
+        watch.notify(&RetrainingProgress::Judging { round: self.number() })?;
         let after = match &candidate {
             Some(candidate) => Standing::of(candidate, self.plan, self.kept_aside, self.regression)?,
             None => self.standing.clone(),
@@ -284,8 +280,8 @@ impl RoundContext<'_> {
 }
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn selection(plan: &RetrainingPlan, work: &Work, show: &mut Show<'_>) -> Result<Corpus, RetrainError> {
-    gathered(plan, work, (SELECTION, SELECTION_SEED, plan.training.evaluation.ranking_draws), show)
+pub(super) fn selection(plan: &RetrainingPlan, work: &Work, watch: &Watch<'_>) -> Result<Corpus, RetrainError> {
+    gathered(plan, work, (SELECTION, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
 }
 
 /// A corpus of the plan in its file.
@@ -293,12 +289,10 @@ pub(super) fn gathered(
     plan: &RetrainingPlan,
     work: &Work,
     (name, seed, wanted): (&'static str, u64, u64),
-    show: &mut Show<'_>,
+    watch: &Watch<'_>,
 ) -> Result<Corpus, RetrainError> {
     let first =
         NamedController { name: plan.first_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.first)) };
     let witnesses = witnesses(&[first]);
-    Corpus::at((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), &mut |done| {
-        show(Progress::Gathering { what: name, done, wanted });
-    })
+    Corpus::at((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
 }

@@ -9,11 +9,12 @@ use super::files::{
 };
 use super::judged::{Judged, witnesses};
 use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan};
-use super::progress::Progress;
+use super::progress::RetrainingProgress;
 use super::regression::Regression;
 use super::report::{Ending, Report};
 use super::round::{Round, RoundContext, RoundFindings, gathered, in_round, selection};
 use super::{RetrainError, Standing};
+use crumple_core::observer::Observer;
 use crumple_store::work::WorkError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -22,11 +23,17 @@ use crumple_world::sim::{ControllerKind, NamedController};
 const RETRAINED: &str = "retrained";
 
 impl RetrainingPlan {
-    /// Runs the retraining in `folder`, or goes on with it where `resume` says so; of a complete one, the report is read.
+    /// Runs the retraining in `folder`, or continues it with `resume`; of a complete one, reads the report.
     ///
     /// # Errors
-    /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, or hardly anything in the space is avoidable.
-    pub fn run(&self, folder: &Path, resume: bool, show: &mut dyn FnMut(Progress)) -> Result<Report, RetrainError> {
+    /// [`RetrainError`] if the folder cannot be used, or holds half-done work of another build, a search or a training fails, hardly anything in the space
+    /// is avoidable, or `watch` stops the retraining.
+    pub fn run(
+        &self,
+        folder: &Path,
+        resume: bool,
+        watch: &dyn Observer<RetrainingProgress>,
+    ) -> Result<Report, RetrainError> {
         self.check()?;
         let work = self.work(folder, resume)?;
         if work.is_complete() {
@@ -35,8 +42,8 @@ impl RetrainingPlan {
         }
         work.write(PLAN, self.to_toml()?)?;
         let wanted = self.settings.kept_aside;
-        let kept_aside = gathered(self, &work, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), show)?;
-        let selection = selection(self, &work, show)?;
+        let kept_aside = gathered(self, &work, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), watch)?;
+        let selection = selection(self, &work, watch)?;
         let mut policy = Arc::clone(&self.first);
         let regression = Regression::new(self)?;
         let first = Standing::of(&policy, self, &kept_aside, &regression)?;
@@ -58,7 +65,7 @@ impl RetrainingPlan {
                 cases: cases.clone(),
                 last: rounds.last(),
             };
-            let found = before.search(show)?;
+            let found = before.search(watch)?;
             if found.is_nothing() {
                 break Ending::NothingFound { search: Box::new(found) };
             }
@@ -66,7 +73,7 @@ impl RetrainingPlan {
             let number = rounds.len() as u64 + 1;
             let round: Round = match read_json(&work, &before.name(RECORD))? {
                 Some(round) => round,
-                None => before.finish(found, &cases, show)?,
+                None => before.finish(found, &cases, watch)?,
             };
             work.changes().remove(&in_round(number, CHECKPOINTS)).remove(&in_round(number - 1, LEARNER)).commit()?;
             if round.acceptance.is_accepted() {
@@ -83,9 +90,7 @@ impl RetrainingPlan {
             kind: ControllerKind::Policy(Arc::clone(policy)),
         };
         let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(RETRAINED, &policy)]);
-        let judged = Judged::at((&work, JUDGED_ON), self, &contenders, &mut |done| {
-            show(Progress::Gathering { what: JUDGED_ON, done, wanted: self.settings.judged });
-        })?;
+        let judged = Judged::at((&work, JUDGED_ON), self, &contenders, watch)?;
         let report = Report::new(self, &work, (first, standing), rounds, ending, judged)?;
         report.write(&work, (self.picture)(&report))?;
         work.finish()?;

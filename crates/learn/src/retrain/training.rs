@@ -5,9 +5,11 @@ use std::sync::Arc;
 use super::RetrainError;
 use super::cases::Cases;
 use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
-use super::progress::{Progress, Show};
+use super::progress::{RetrainingProgress, Watch};
 use super::round::{Checkpoint, RoundContext, Trained, in_round};
-use crate::rl::{Blend, Event, HeldOut, Mixed, Observer, PaperDraws, ScenarioSource, Trainer, TrainingError, train};
+use crate::rl::{
+    Blend, Event, HeldOut, Mixed, PaperDraws, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_recorded,
+};
 use crumple_store::work::WorkError;
 use crumple_world::policy::Policy;
 
@@ -55,15 +57,15 @@ impl RoundContext<'_> {
         Ok((trainer, from_episode))
     }
 
-    pub(super) fn train(&self, cases: &Cases, show: &mut Show<'_>) -> Result<(Trained, Policy), RetrainError> {
+    pub(super) fn train(&self, cases: &Cases, watch: &Watch<'_>) -> Result<(Trained, Policy), RetrainError> {
         let (mut trainer, from_episode) = self.learner(cases)?;
         let environment = &self.plan.training.environment;
         let selection = self.selection.scenarios(&self.plan.space)?;
         let held_out = HeldOut::new(&self.plan.training.evaluation, environment).with_ranking(selection);
         let mut checkpoints: Vec<Checkpoint> = read_json(self.work, &self.name(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
-        let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, show };
-        train::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
+        let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, watch };
+        train_recorded::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
         let trained = Trained {
             seed: trainer.seed(),
             from_episode,
@@ -80,21 +82,21 @@ struct CheckpointWriter<'a, 'b, 'c> {
     before: &'a RoundContext<'b>,
     from_episode: u64,
     checkpoints: Vec<Checkpoint>,
-    show: &'a mut Show<'c>,
+    watch: &'a Watch<'c>,
 }
 
-impl Observer<RetrainError> for CheckpointWriter<'_, '_, '_> {
-    fn event(&mut self, event: &Event) -> Result<(), RetrainError> {
+impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
+    fn record(&mut self, event: &Event) -> Result<(), RetrainError> {
         match event {
             Event::Evaluation { episode, result, .. } => {
                 self.checkpoints.push(Checkpoint { episode: *episode, contacts: result.ranking_contacts });
             }
-            Event::Episode(record) => (self.show)(Progress::Training {
+            Event::Episode(record) => self.watch.notify(&RetrainingProgress::Training {
                 round: self.before.number(),
                 episode: record.episode - self.from_episode,
                 episodes: self.before.plan.settings.episodes,
                 fewest: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
-            }),
+            })?,
         }
         Ok(())
     }

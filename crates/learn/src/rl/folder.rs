@@ -9,8 +9,9 @@ use serde::{Deserialize, Serialize};
 use super::config::TrainingConfig;
 use super::curve::{episode_of, judged_after};
 use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
-use super::seeds::{Event, Observer, train};
+use super::seeds::{Event, TrainingRecorder, train_recorded};
 use super::trainer::{Trainer, TrainingError};
+use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::work::{Asked, MANIFEST, Work, WorkError};
@@ -101,19 +102,19 @@ impl<'a> TrainingFolder<'a> {
         self.trainer.episode()
     }
 
-    /// Trains to the end, and tells `watch` of everything on the way.
+    /// Trains to the end. If `observer` stops the training, the folder keeps the last checkpoint.
     ///
     /// # Errors
-    /// [`TrainingError`] if the training diverges or a file cannot be written.
-    pub fn train(mut self, held_out: &HeldOut, watch: &mut dyn FnMut(&Event)) -> Result<SeedResult, TrainingError> {
+    /// [`TrainingError`] if the training diverges, a file cannot be written, or `observer` stops the training.
+    pub fn train(mut self, held_out: &HeldOut, observer: &dyn Observer<Event>) -> Result<SeedResult, TrainingError> {
         let configuration = text_of(self.config)?;
         let known = if self.work.is_complete() { self.work.read(CONFIGURATION)? } else { None };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
             return result_in(&self.work);
         }
         self.work.write(CONFIGURATION, configuration)?;
-        let mut keeper = Keeper { work: &self.work, log: self.log, watch };
-        let trained = train::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
+        let mut keeper = Keeper { work: &self.work, log: self.log, observer };
+        let trained = train_recorded::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
         let log = keeper.log;
         let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
@@ -146,15 +147,14 @@ impl<'a> TrainingFolder<'a> {
 struct Keeper<'a> {
     work: &'a Work,
     log: String,
-    watch: &'a mut dyn FnMut(&Event),
+    observer: &'a dyn Observer<Event>,
 }
 
-impl Observer<TrainingError> for Keeper<'_> {
-    fn event(&mut self, event: &Event) -> Result<(), TrainingError> {
+impl TrainingRecorder<TrainingError> for Keeper<'_> {
+    fn record(&mut self, event: &Event) -> Result<(), TrainingError> {
         self.log += &serde_json::to_string(event)?;
         self.log.push('\n');
-        (self.watch)(event);
-        Ok(())
+        Ok(self.observer.notify(event)?)
     }
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {

@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use super::evaluation::{Evaluation, HeldOut};
 use super::trainer::{EpisodeRecord, Trainer, TrainingError};
+use crumple_core::observer::Observer;
 
-/// Something a training has to tell.
+/// An event of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -26,53 +27,85 @@ pub enum Event {
     },
 }
 
-/// What watches a training.
-pub trait Observer<E> {
-    /// Told of everything, in order.
+/// A keeper of what a training produces.
+pub(crate) trait TrainingRecorder<E> {
+    /// Receives all events, in order.
     ///
     /// # Errors
-    /// Whatever makes the training stop.
-    fn event(&mut self, event: &Event) -> Result<(), E>;
+    /// A reason to stop the training.
+    fn record(&mut self, event: &Event) -> Result<(), E>;
 
     /// Called between episodes where a checkpoint makes sense, and after the last one: before it is judged, where it is judged only because
     /// it is the last.
     ///
     /// # Errors
-    /// Whatever makes the training stop.
+    /// A reason to stop the training.
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), E>;
 }
 
 /// Evaluations between checkpoints: rarely enough to cost nothing, often enough to lose less than a minute.
 const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
 
-/// Takes a training to its end.
+/// A recorder that keeps nothing and passes the events on.
+struct Unrecorded<'a>(&'a dyn Observer<Event>);
+
+impl TrainingRecorder<TrainingError> for Unrecorded<'_> {
+    fn record(&mut self, event: &Event) -> Result<(), TrainingError> {
+        Ok(self.0.notify(event)?)
+    }
+
+    fn checkpoint(&mut self, _: &Trainer) -> Result<(), TrainingError> {
+        Ok(())
+    }
+}
+
+/// Trains until the last episode of the configuration. [`TrainingFolder`](super::TrainingFolder) does so in a folder, with checkpoints.
 ///
 /// # Errors
-/// [`TrainingError`], or what the observer reports.
-pub fn train<E: From<TrainingError>>(
+/// [`TrainingError`] if the training diverges, a scenario cannot be run, or `observer` stops it.
+///
+/// ```no_run
+/// use crumple_core::observer::Quiet;
+/// use crumple_learn::rl::{HeldOut, Trainer, TrainingConfig, train};
+///
+/// let config = TrainingConfig::preset("fast").unwrap();
+/// let held_out = HeldOut::new(&config.evaluation, &config.environment);
+/// let mut trainer = Trainer::new(&config, 1);
+/// train(&mut trainer, &held_out, &Quiet).unwrap();
+/// println!("{}", trainer.policy().unwrap().digest());
+/// ```
+pub fn train(trainer: &mut Trainer, held_out: &HeldOut, observer: &dyn Observer<Event>) -> Result<(), TrainingError> {
+    train_recorded(trainer, held_out, &mut Unrecorded(observer))
+}
+
+/// Trains until the last episode, and passes events and checkpoints to `recorder`.
+///
+/// # Errors
+/// [`TrainingError`], or what the recorder returns.
+pub(crate) fn train_recorded<E: From<TrainingError>>(
     trainer: &mut Trainer,
     held_out: &HeldOut,
-    observer: &mut impl Observer<E>,
+    recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
     // The untrained policy is judged first: what training is worth shows against it.
     if trainer.episode() == 0 {
-        judge(trainer, held_out, observer)?;
+        judge(trainer, held_out, recorder)?;
     }
     while !trainer.is_done() {
         let record = trainer.run_episode()?;
-        observer.event(&Event::Episode(record))?;
+        recorder.record(&Event::Episode(record))?;
         if trainer.is_judged_on_the_way(trainer.episode()) {
-            judge(trainer, held_out, observer)?;
+            judge(trainer, held_out, recorder)?;
         }
         let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
         if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
-            observer.checkpoint(trainer)?;
+            recorder.checkpoint(trainer)?;
         }
     }
-    observer.checkpoint(trainer)?;
+    recorder.checkpoint(trainer)?;
     // A training that ends between two evaluations is judged there besides. A longer one is not, and goes on from before that.
     if trainer.evaluation_is_due() && !trainer.is_judged_on_the_way(trainer.episode()) {
-        judge(trainer, held_out, observer)?;
+        judge(trainer, held_out, recorder)?;
     }
     Ok(())
 }
@@ -80,12 +113,12 @@ pub fn train<E: From<TrainingError>>(
 fn judge<E: From<TrainingError>>(
     trainer: &mut Trainer,
     held_out: &HeldOut,
-    observer: &mut impl Observer<E>,
+    recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
     let result = trainer.evaluate(held_out)?;
     let episode = trainer.episode();
     let best = trainer.best().is_some_and(|best| best.episode == episode);
-    observer.event(&Event::Evaluation { episode, best, result })
+    recorder.record(&Event::Evaluation { episode, best, result })
 }
 
 /// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.

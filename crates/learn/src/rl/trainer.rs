@@ -15,6 +15,7 @@ use super::privileged::Privileged;
 use super::replay::{Batch, Replay, Transition};
 use super::source::{PaperDraws, ScenarioSource, unsuited};
 use crumple_core::digits::nearest;
+use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
 use crumple_world::control::ControllerSpec;
@@ -67,6 +68,9 @@ pub enum TrainingError {
     /// The policy cannot be made.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// The observer stopped the training.
+    #[error("the training was {0}")]
+    Stopped(#[from] Stopped),
     /// A checkpoint cannot be used.
     #[error("checkpoint: {0}")]
     Checkpoint(String),

@@ -25,7 +25,6 @@ mod table;
 mod work;
 
 use crate::markdown;
-use std::ops::ControlFlow;
 
 use maud::Markup;
 use serde::Serialize;
@@ -56,6 +55,7 @@ pub use rounded::Rounded;
 pub use shard::{EvidenceShardError, MergedEvidence, SHARD_OF_AN_ASSESSMENT, gather_shard};
 pub use store::{EvidenceHash, Store, StoreError};
 
+use crumple_core::observer::{Counter, Observer, Progress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
@@ -182,20 +182,19 @@ pub enum AssessError {
     /// A suite cannot be run.
     #[error(transparent)]
     Suite(#[from] SuiteRunError),
-    /// Whoever was told of the progress ended it.
-    #[error("the assessment was broken off")]
-    BrokenOff,
+    /// The observer stopped the assessment. If that happened during a search, the error is that of the campaign.
+    #[error("the assessment was {0}")]
+    Stopped(#[from] Stopped),
 }
 
-/// Gathers the evidence a plan asks for; what `store` has kept of it is not gathered again. Nothing is kept where a
-/// controller states no identity.
-///
-/// `told` hears how many of the plan's runs are done.
+/// Gathers the evidence that a plan asks for. Evidence in `store` is not gathered again. Nothing is kept if a controller states no identity.
+/// If `observer` stops the assessment, `store` keeps what was gathered.
 ///
 /// # Errors
-/// [`AssessError`] if a scenario cannot be run or drawn, or evidence not kept.
+/// [`AssessError`] if a scenario cannot be run or drawn, evidence cannot be kept, or `observer` stops the assessment.
 ///
 /// ```
+/// use crumple_core::observer::Quiet;
 /// use crumple_report::assessment::{AssessConfig, AssessmentPlan, Store, assess};
 /// use std::path::Path;
 ///
@@ -205,34 +204,18 @@ pub enum AssessError {
 /// (config.paper, config.draws, config.everyday_draws, config.rates.runs) = (false, 20, 4, 0);
 /// (config.search.spaces, config.certificates) = (Some(Vec::new()), Some(Vec::new()));
 /// let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-/// let assessment = assess(&plan, &Store::none(), None, &|_| {}).unwrap();
+/// let assessment = assess(&plan, &Store::none(), None, &Quiet).unwrap();
 /// assert!(assessment.html().contains("</html>"));
 /// ```
 pub fn assess(
     plan: &AssessmentPlan,
     store: &Store,
     against: Option<&Earlier>,
-    told: &(dyn Fn(u64) + Sync),
-) -> Result<Assessment, AssessError> {
-    assess_until(plan, store, against, &|done| {
-        told(done);
-        ControlFlow::Continue(())
-    })
-}
-
-/// What [`assess`] says, until `told` breaks it off: what was gathered by then is kept.
-///
-/// # Errors
-/// As [`assess`], and [`AssessError::BrokenOff`], of a search that of the campaign.
-pub fn assess_until(
-    plan: &AssessmentPlan,
-    store: &Store,
-    against: Option<&Earlier>,
-    told: &(dyn Fn(u64) -> ControlFlow<()> + Sync),
+    observer: &dyn Observer<Progress>,
 ) -> Result<Assessment, AssessError> {
     let nothing_kept = Store::none();
     let store = if plan.without_identity().is_none() { store } else { &nothing_kept };
-    let work = Work::new(store, told).with(&plan.controllers);
+    let work = Work::new(store, Counter::new(observer, Some(plan.runs()))).with(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = Distributions::gather(plan, &work)?;
     let traffic = Traffic::gather(plan, &work)?;

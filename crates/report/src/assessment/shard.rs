@@ -15,6 +15,7 @@ use super::store::{Kept, Store, StoreError};
 use super::work::Work as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
+use crumple_core::observer::{Counter, Observer, Progress};
 use crumple_store::disk::DiskError;
 use crumple_store::shard::{MergeError, Mergeable, Merged, MissingShards, Shard, Sharded, TooManyShards, open_shard};
 use crumple_store::work::{Finished, WorkError};
@@ -102,15 +103,17 @@ struct Whole {
     pieces: Vec<String>,
 }
 
-/// Gathers the evidence of a shard in `folder`, or goes on with it. Says how many pieces it has.
+/// Gathers the evidence of a shard in `folder`, or continues it. Returns the number of its pieces. `program` is the digest of the executable.
 ///
 /// # Errors
-/// [`EvidenceShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, or evidence
-/// not be gathered.
+/// [`EvidenceShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, evidence cannot
+/// be gathered, or `observer` stops the shard.
 pub fn gather_shard(
     plan: &AssessmentPlan,
-    (shard, folder, program): (Shard, &Path, &str),
-    told: &(dyn Fn(u64) + Sync),
+    shard: Shard,
+    folder: &Path,
+    program: &str,
+    observer: &dyn Observer<Progress>,
 ) -> Result<u64, EvidenceShardError> {
     if let Some(unknown) = plan.without_identity() {
         return Err(EvidenceShardError::Unknown(unknown.name.clone()));
@@ -127,11 +130,7 @@ pub fn gather_shard(
     let under_way = folder.join(UNDER_WAY);
     if !work.is_complete() {
         let store = Store::open(&under_way, program, false)?;
-        let told = |done| {
-            told(done);
-            std::ops::ControlFlow::Continue(())
-        };
-        let gathering = Gathering::new(&store, &told).with(&plan.controllers);
+        let gathering = Gathering::new(&store, Counter::new(observer, None)).with(&plan.controllers);
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
         work.write(EVIDENCE, text(&store.kept()?)?)?;
         work.finish()?;

@@ -1,27 +1,24 @@
-//! Gathering evidence: where it is kept, and who hears how far it is.
-
-use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicU64, Ordering};
+//! Gathering evidence: where it is kept, and its progress.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::AssessError;
 use super::store::Store;
+use crumple_core::observer::Counter;
 use crumple_world::sim::NamedController;
 
 /// Evidence being gathered.
 pub(super) struct Work<'a> {
     pub(super) store: &'a Store,
-    done: AtomicU64,
-    told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync),
+    runs: Counter<'a>,
     /// Whose runs they are.
     controllers: &'a [NamedController],
 }
 
 impl<'a> Work<'a> {
-    pub(super) fn new(store: &'a Store, told: &'a (dyn Fn(u64) -> ControlFlow<()> + Sync)) -> Self {
-        Self { store, done: AtomicU64::new(0), told, controllers: &[] }
+    pub(super) fn new(store: &'a Store, runs: Counter<'a>) -> Self {
+        Self { store, runs, controllers: &[] }
     }
 
     /// The same, of runs of these controllers: what was gathered with one that was refused on the way is neither kept nor told.
@@ -34,7 +31,7 @@ impl<'a> Work<'a> {
         Ok(self.controllers.iter().try_for_each(NamedController::not_refused)?)
     }
 
-    /// As [`Store::get`]; what was gathered while somebody broke it off is not kept, since runs may have been ended halfway.
+    /// As [`Store::get`]; what was gathered before the observer stopped the assessment is not kept, because runs may have ended early.
     pub(super) fn get<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
@@ -51,9 +48,6 @@ impl<'a> Work<'a> {
 
     /// So many runs more are done; an error if that is to be all.
     pub(super) fn did(&self, runs: u64) -> Result<(), AssessError> {
-        match (self.told)(self.done.fetch_add(runs, Ordering::Relaxed) + runs) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(AssessError::BrokenOff),
-        }
+        Ok(self.runs.add(runs)?)
     }
 }

@@ -46,7 +46,7 @@ fn branin(point: &[f64]) -> f64 {
 }
 
 /// Evaluations until a value below `target`, for the seeds 0 to 8, sorted; the budget where it was not reached.
-fn evaluations(method: Method, function: Function, dimension: usize, target: f64, budget: usize) -> Vec<usize> {
+fn evaluations(method: &Method, function: Function, dimension: usize, target: f64, budget: usize) -> Vec<usize> {
     let cube = Cube::new(vec![1; dimension]).unwrap();
     let run = |seed| {
         let mut search = method.start(&cube, seed);
@@ -66,24 +66,24 @@ fn evaluations(method: Method, function: Function, dimension: usize, target: f64
     counts
 }
 
-fn median(method: Method, function: Function, dimension: usize, target: f64, budget: usize) -> usize {
+fn median(method: &Method, function: Function, dimension: usize, target: f64, budget: usize) -> usize {
     evaluations(method, function, dimension, target, budget)[4]
 }
 
 #[test]
 fn cma_es_needs_the_published_order_of_evaluations() {
     // Hansen and Ostermeier (2001) and the BBOB data: about 1500 for the sphere, 6000 for Rosenbrock, in 10 dimensions.
-    let sphere = median(Method::CmaEs, sphere, 10, 1e-9, 10_000);
+    let sphere = median(&Method::CmaEs, sphere, 10, 1e-9, 10_000);
     assert!((1000..2500).contains(&sphere), "sphere: {sphere}");
-    let rosenbrock = median(Method::CmaEs, rosenbrock, 10, 1e-9, 30_000);
+    let rosenbrock = median(&Method::CmaEs, rosenbrock, 10, 1e-9, 30_000);
     assert!((3500..11_000).contains(&rosenbrock), "Rosenbrock: {rosenbrock}");
-    let ackley = median(Method::CmaEs, ackley, 10, 1e-9, 20_000);
+    let ackley = median(&Method::CmaEs, ackley, 10, 1e-9, 20_000);
     assert!((2000..6000).contains(&ackley), "Ackley: {ackley}");
 }
 
 #[test]
 fn restarts_with_growing_populations_solve_rastrigin() {
-    let counts = evaluations(Method::CmaEs, rastrigin, 5, 1e-6, 60_000);
+    let counts = evaluations(&Method::CmaEs, rastrigin, 5, 1e-6, 60_000);
     assert!(counts[8] < 60_000, "{counts:?}");
 }
 
@@ -97,7 +97,7 @@ fn cross_entropy_and_annealing_reach_their_accuracy() {
         ("Rastrigin", rastrigin, 2, 1e-2, 10_000),
     ] {
         for method in [Method::CrossEntropy, Method::Annealing] {
-            let reached = median(method, function, dimension, target, budget);
+            let reached = median(&method, function, dimension, target, budget);
             assert!(reached < budget, "{method} on {name}");
         }
     }
@@ -112,8 +112,8 @@ fn the_portfolio_is_far_ahead_of_uniform_points_on_smooth_functions_too() {
         ("Branin", branin, 2, 1e-2),
         ("Himmelblau", himmelblau, 2, 1e-1),
     ] {
-        let uniform = median(Method::Uniform, function, dimension, target, 20_000);
-        let auto = median(Method::Auto, function, dimension, target, 20_000);
+        let uniform = median(&Method::Uniform, function, dimension, target, 20_000);
+        let auto = median(&Method::Auto, function, dimension, target, 20_000);
         assert!(2 * auto < uniform, "{name}: {auto} and {uniform}");
     }
 }

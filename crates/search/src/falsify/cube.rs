@@ -113,6 +113,12 @@ impl Cube {
         means
     }
 
+    /// Tells whether a point has the cube's dimension and lies in it.
+    #[must_use]
+    pub fn contains(&self, point: &[f64]) -> bool {
+        point.len() == self.dimension() && point.iter().all(|x| (0.0..=1.0).contains(x))
+    }
+
     /// Distance of two points, from 0 to the number of blocks: mean difference in each block, so that a signal weighs as
     /// much as a number.
     #[must_use]

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +17,7 @@ use super::signals::Signals;
 use super::uniform::Uniform;
 use crumple_world::random::derived_seed;
 
-/// A search for the smallest robustness in a unit cube.
+/// A search for the smallest robustness in a unit cube. [`CustomMethod`] puts an implementation into a campaign.
 pub trait Search: fmt::Debug + Send {
     /// The next points to evaluate, at least one, every coordinate in [0, 1].
     fn ask(&mut self) -> Vec<Vec<f64>>;
@@ -26,8 +27,8 @@ pub trait Search: fmt::Debug + Send {
     fn tell(&mut self, robustness: &[f64]);
 }
 
-/// The search methods.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// A search method. Files and the command line know the built-in ones only.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Method {
@@ -47,18 +48,107 @@ pub enum Method {
     Sequential,
     /// A portfolio.
     Auto,
+    /// A method of the program that uses the library.
+    Custom(CustomMethod),
+}
+
+/// A search method that is not built in: a name, and a function that starts a search in a cube, decided by a seed.
+///
+/// A campaign records the name, and is not resumed with a method of another name. It cannot be divided into shards, nor shown by
+/// `crumple explore`, because these read its method from a file.
+///
+/// ```
+/// use crumple_core::observer::Quiet;
+/// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
+/// use crumple_search::falsify::{Cube, CustomMethod, Method, Search};
+/// use crumple_world::control::ControllerSpec;
+/// use crumple_world::scenario::space::built_in_space;
+///
+/// /// Proposes points on the diagonal of the cube, whatever they come to.
+/// #[derive(Debug)]
+/// struct Diagonal {
+///     dimension: usize,
+///     proposed: u32,
+/// }
+///
+/// impl Search for Diagonal {
+///     fn ask(&mut self) -> Vec<Vec<f64>> {
+///         self.proposed += 1;
+///         vec![vec![(0.618 * f64::from(self.proposed)).fract(); self.dimension]]
+///     }
+///
+///     fn tell(&mut self, _robustness: &[f64]) {}
+/// }
+///
+/// let start = |cube: &Cube, _seed| -> Box<dyn Search> {
+///     Box::new(Diagonal { dimension: cube.dimension(), proposed: 0 })
+/// };
+/// let campaign = Campaign {
+///     method: Method::Custom(CustomMethod::new("diagonal", start).unwrap()),
+///     budget: 20,
+///     ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+/// };
+/// let folder = tempfile::tempdir().unwrap();
+/// let summary = campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
+/// assert_eq!((summary.method.as_str(), summary.methods[0].evaluations), ("diagonal", 20));
+/// ```
+#[derive(Clone)]
+pub struct CustomMethod {
+    name: Arc<str>,
+    start: Arc<StartSearch>,
+}
+
+type StartSearch = dyn Fn(&Cube, u64) -> Box<dyn Search> + Send + Sync;
+
+/// A name that no custom method can have.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name:?} cannot name a search method: use 1 to 40 of a-z, 0-9 and -, and not the name of a built-in method")]
+pub struct InvalidMethodName {
+    /// The name.
+    pub name: String,
+}
+
+impl CustomMethod {
+    /// Gives a search method its name.
+    ///
+    /// # Errors
+    /// [`InvalidMethodName`] if the name is that of a built-in method, or does not consist of 1 to 40 of `a-z`, `0-9` and `-`.
+    pub fn new(
+        name: &str,
+        start: impl Fn(&Cube, u64) -> Box<dyn Search> + Send + Sync + 'static,
+    ) -> Result<Self, InvalidMethodName> {
+        let is_plain = name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
+        if !is_plain || !(1..=40).contains(&name.len()) || name.parse::<Method>().is_ok() {
+            return Err(InvalidMethodName { name: name.to_owned() });
+        }
+        Ok(Self { name: name.into(), start: Arc::new(start) })
+    }
+}
+
+impl PartialEq for CustomMethod {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for CustomMethod {}
+
+impl fmt::Debug for CustomMethod {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_tuple("CustomMethod").field(&self.name).finish()
+    }
 }
 
 /// A name that is not that of a method.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no method `{name}`; there are: {}", Method::ALL.map(Method::name).join(", "))]
+#[error("there is no method `{name}`; there are: {}", Method::ALL.each_ref().map(Method::name).join(", "))]
 pub struct UnknownMethod {
     /// The name.
     pub name: String,
 }
 
 impl Method {
-    /// All methods.
+    /// All built-in methods.
     pub const ALL: [Self; 8] = [
         Self::Uniform,
         Self::Halton,
@@ -72,7 +162,7 @@ impl Method {
 
     /// The name used on the command line and in files.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub fn name(&self) -> &str {
         match self {
             Self::Uniform => "uniform",
             Self::Halton => "halton",
@@ -82,12 +172,13 @@ impl Method {
             Self::Signals => "signals",
             Self::Sequential => "sequential",
             Self::Auto => "auto",
+            Self::Custom(custom) => &custom.name,
         }
     }
 
-    /// What it does, in one line.
+    /// Describes the method in one line.
     #[must_use]
-    pub fn summary(self) -> &'static str {
+    pub fn summary(&self) -> &'static str {
         match self {
             Self::Uniform => "independent uniform points",
             Self::Halton => "a randomised Halton sequence",
@@ -97,19 +188,20 @@ impl Method {
             Self::Signals => "signals of few pieces with bang-bang moves",
             Self::Sequential => "sequential convex programming on how the leader brakes, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
+            Self::Custom(_) => "a method of the program that uses the library",
         }
     }
 
     /// Whether it does not look at values: a reference search, any part of which can be made by itself.
     #[must_use]
-    pub fn is_blind(self) -> bool {
+    pub fn is_blind(&self) -> bool {
         matches!(self, Self::Uniform | Self::Halton)
     }
 
     /// The part of a search that begins after so many of its points: of a blind one the points that follow those, of any other a search
     /// of its own, by a seed of its own.
     #[must_use]
-    pub fn start_after(self, points: u64, cube: &Cube, seed: u64) -> Box<dyn Search> {
+    pub fn start_after(&self, points: u64, cube: &Cube, seed: u64) -> Box<dyn Search> {
         match self {
             Self::Uniform => Box::new(Uniform::new(cube, seed).after(points)),
             Self::Halton => Box::new(Halton::new(cube, seed).after(points)),
@@ -120,7 +212,7 @@ impl Method {
 
     /// A search in `cube`, decided by `seed`.
     #[must_use]
-    pub fn start(self, cube: &Cube, seed: u64) -> Box<dyn Search> {
+    pub fn start(&self, cube: &Cube, seed: u64) -> Box<dyn Search> {
         match self {
             Self::Uniform => Box::new(Uniform::new(cube, seed)),
             Self::Halton => Box::new(Halton::new(cube, seed)),
@@ -130,6 +222,7 @@ impl Method {
             Self::Signals => Box::new(Signals::new(cube, seed)),
             Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
+            Self::Custom(custom) => (custom.start)(cube, seed),
         }
     }
 }
@@ -171,7 +264,67 @@ pub(super) fn rankable(robustness: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
+    use crumple_core::observer::Quiet;
+    use crumple_store::shard::Shard;
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::observation::EstimatorKind;
+    use crumple_world::scenario::space::built_in_space;
     use proptest::prelude::*;
+    use std::ops::ControlFlow;
+
+    /// Proposes one point again and again.
+    #[derive(Debug)]
+    struct Fixed(Vec<f64>);
+
+    impl Search for Fixed {
+        fn ask(&mut self) -> Vec<Vec<f64>> {
+            vec![self.0.clone()]
+        }
+
+        fn tell(&mut self, _: &[f64]) {}
+    }
+
+    fn campaign(name: &str, coordinate: f64) -> Campaign {
+        let start = move |cube: &Cube, _| -> Box<dyn Search> { Box::new(Fixed(vec![coordinate; cube.dimension()])) };
+        Campaign {
+            estimator: EstimatorKind::Truth,
+            method: Method::Custom(CustomMethod::new(name, start).unwrap()),
+            budget: 10,
+            seed: 7,
+            ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+        }
+    }
+
+    #[test]
+    fn a_campaign_with_a_custom_method_is_resumed_by_its_name_only() {
+        let [whole, part] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let expected = campaign("mine", 0.5).run(whole.path(), CampaignOptions::default(), &Quiet).unwrap();
+        assert_eq!((expected.method.as_str(), expected.evaluations), ("mine", 10));
+        let stop = |progress: &CampaignProgress| match progress.evaluations {
+            ..5 => ControlFlow::Continue(()),
+            _ => ControlFlow::Break(()),
+        };
+        let stopped = campaign("mine", 0.5).run(part.path(), CampaignOptions::default(), &stop);
+        assert!(matches!(stopped, Err(CampaignError::Stopped(_))), "{stopped:?}");
+        let resume = CampaignOptions { resume: true, ..CampaignOptions::default() };
+        let refused = campaign("other", 0.5).run(part.path(), resume, &Quiet).unwrap_err().to_string();
+        assert!(refused.contains("another `method`"), "{refused}");
+        assert_eq!(campaign("mine", 0.5).run(part.path(), resume, &Quiet).unwrap(), expected);
+    }
+
+    #[test]
+    fn custom_methods_that_do_not_fit_are_refused() {
+        for name in ["", "auto", "My method", &"x".repeat(41)] {
+            assert!(CustomMethod::new(name, |_, _| Box::new(Fixed(Vec::new()))).is_err(), "{name}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
+        assert!(matches!(outside, Err(CampaignError::InvalidPoints(_))), "{outside:?}");
+        let shard = Shard::new(1, 2).unwrap();
+        let divided = campaign("mine", 0.5).run_shard(shard, &folder.path().join("b"), false, &Quiet);
+        assert!(matches!(divided, Err(CampaignError::CustomInShards(_))), "{divided:?}");
+    }
 
     proptest! {
         // Each case runs all methods twice.
@@ -207,7 +360,7 @@ mod tests {
         ) {
             let cube = Cube::new(lengths).unwrap().with_leader(leader);
             for method in Method::ALL {
-                prop_assert_eq!(method.name().parse::<Method>(), Ok(method));
+                prop_assert_eq!(&method.name().parse::<Method>().unwrap(), &method);
                 let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));
                 for round in 0..12 {
                     let points = one.ask();

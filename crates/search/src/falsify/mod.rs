@@ -37,4 +37,4 @@ mod uniform;
 
 pub use contrast::{Contrast, ContrastRecord, Relation, UnknownRelation};
 pub use cube::{Cube, EmptyBlock};
-pub use method::{Method, Search, UnknownMethod};
+pub use method::{CustomMethod, InvalidMethodName, Method, Search, UnknownMethod};

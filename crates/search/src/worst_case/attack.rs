@@ -1,10 +1,9 @@
 //! How little lead braking makes a controller collide, and how badly it can end.
 
-use std::ops::ControlFlow;
-
 use super::bench::Bench;
 use super::exact;
 use super::sequential;
+use crumple_core::observer::{Observer, Progress, Stopped};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, InvalidField, Scenario};
 use crumple_world::sim::{ControllerKind, Outcome, RunError, RunOptions};
@@ -158,9 +157,9 @@ pub enum AttackError {
         /// Its steps.
         steps: usize,
     },
-    /// Whoever was told of the progress ended it.
-    #[error("the attack was broken off")]
-    BrokenOff,
+    /// The observer stopped the search.
+    #[error("the search was {0}")]
+    Stopped(#[from] Stopped),
     /// A profile made an invalid scenario.
     #[error(transparent)]
     Scenario(#[from] InvalidField),
@@ -175,16 +174,17 @@ pub const MOST_VEHICLE_STEPS: usize = 500_000;
 /// Most vehicles times steps of all simulations of an [`attack()`] together: some minutes of one core.
 pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
 
-/// Looks for a braking profile of the leader, with at most about `budget` simulations.
+/// Searches for a braking profile of the leader that makes the controller collide, with about `budget` simulations at most.
 ///
 /// Exact for the baseline, whatever the vehicles behind it are, as long as the first vehicle under test answers without lag
 /// and noise and the enumeration stays within some 1500 programs. For every other controller it is the best of pulses, ramps and
-/// steps of sequential convex programming from them. None if no collision was found.
+/// steps of sequential convex programming from them.
 ///
 /// # Errors
-/// [`AttackError`] if there is nothing to vary or the run does not fit the scenario.
+/// [`AttackError`] if there is nothing to vary, the run does not fit the scenario, or `observer` stops the search.
 ///
 /// ```
+/// use crumple_core::observer::Quiet;
 /// use crumple_search::worst_case::{Aim, Envelope, attack};
 /// use crumple_world::control::ControllerSpec;
 /// use crumple_world::observation::EstimatorKind;
@@ -193,9 +193,9 @@ pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
 ///
 /// let scenario = built_in("paper-1").unwrap();
 /// let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_estimator(EstimatorKind::Truth);
-/// let mildest = attack(&scenario, &options, Aim::Mildest, Envelope::of(&scenario), 100).unwrap().unwrap();
+/// let result = attack(&scenario, &options, Aim::Mildest, Envelope::of(&scenario), 100, &Quiet).unwrap();
 /// // The paper's leader brakes at 3 m/s².
-/// assert!(mildest.peak_brake_mps2 < 3.0);
+/// assert!(result.found.unwrap().peak_brake_mps2 < 3.0);
 /// ```
 pub fn attack(
     scenario: &Scenario,
@@ -203,22 +203,7 @@ pub fn attack(
     aim: Aim,
     envelope: Envelope,
     budget: usize,
-) -> Result<Option<Attack>, AttackError> {
-    Ok(hunt(scenario, options, aim, envelope, budget, &mut |_| ControlFlow::Continue(()))?.found)
-}
-
-/// Searches as [`attack()`] does, and returns the effort even without a result. `told` receives the number of simulations and may end the
-/// search.
-///
-/// # Errors
-/// Those of [`attack()`], and [`AttackError::BrokenOff`].
-pub fn hunt(
-    scenario: &Scenario,
-    options: &RunOptions,
-    aim: Aim,
-    envelope: Envelope,
-    budget: usize,
-    told: &mut dyn FnMut(usize) -> ControlFlow<()>,
+    observer: &dyn Observer<Progress>,
 ) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
         return Err(AttackError::Leader);
@@ -238,7 +223,7 @@ pub fn hunt(
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
         return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
-    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, told);
+    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
     // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);

@@ -1,9 +1,8 @@
 //! Simulation of a leader's braking profiles, with a count of what was spent.
 
-use std::ops::ControlFlow;
-
 use super::attack::{Attack, AttackError, AttackMethod, Envelope};
 use super::witness::pieces;
+use crumple_core::observer::{Observer, Progress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
 
@@ -16,8 +15,8 @@ pub(super) struct Bench<'a> {
     pub(super) cell: usize,
     pub(super) evaluations: usize,
     pub(super) programs: usize,
-    /// Hears how many simulations were made, and may end it.
-    told: &'a mut dyn FnMut(usize) -> ControlFlow<()>,
+    budget: usize,
+    observer: &'a dyn Observer<Progress>,
 }
 
 /// Outcome of a brake profile.
@@ -37,10 +36,11 @@ impl<'a> Bench<'a> {
         scenario: &'a Scenario,
         options: &'a RunOptions,
         envelope: Envelope,
-        told: &'a mut dyn FnMut(usize) -> ControlFlow<()>,
+        budget: usize,
+        observer: &'a dyn Observer<Progress>,
     ) -> Self {
         let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
-        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, told }
+        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, budget, observer }
     }
 
     /// The number of cells.
@@ -72,7 +72,8 @@ impl<'a> Bench<'a> {
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
         let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| Trial::of(&simulated));
-        if (self.told)(self.evaluations).is_break() { Err(AttackError::BrokenOff) } else { Ok(trials) }
+        self.observer.notify(&Progress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
+        Ok(trials)
     }
 
     /// Simulates one profile and reports it.

@@ -44,7 +44,7 @@ mod witness;
 
 pub use attack::{
     Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MOST_VEHICLE_STEPS_IN_ALL,
-    attack, hunt,
+    attack,
 };
 pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};

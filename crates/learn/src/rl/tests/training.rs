@@ -1,8 +1,9 @@
 //! Trainings that are interrupted, go astray, or run side by side, and the policy that one of them left.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use crate::rl::*;
+use crumple_core::observer::{Listener, Quiet};
 use crumple_store::program::{OTHER_BUILD, identity};
 
 /// A small training that takes a second.
@@ -18,23 +19,6 @@ fn small() -> TrainingConfig {
     config
 }
 
-/// Keeps every event, and the checkpoint after a given episode.
-#[derive(Default)]
-struct Diary {
-    events: Vec<Event>,
-}
-
-impl Observer<TrainingError> for Diary {
-    fn event(&mut self, event: &Event) -> Result<(), TrainingError> {
-        self.events.push(*event);
-        Ok(())
-    }
-
-    fn checkpoint(&mut self, _: &Trainer) -> Result<(), TrainingError> {
-        Ok(())
-    }
-}
-
 #[test]
 fn a_resumed_training_equals_one_that_was_never_interrupted() {
     let mut config = small();
@@ -45,26 +29,28 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
     config.learning.rates_fall = Some(RatesFall { until_episode: 10, to_share: 0.2 });
     let held_out = HeldOut::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
-    let mut diary = Diary::default();
-    train(&mut through, &held_out, &mut diary).unwrap();
+    let diary = Mutex::new(Vec::new());
+    train(&mut through, &held_out, &Listener(|event: &Event| diary.lock().unwrap().push(*event))).unwrap();
+    let diary = diary.into_inner().unwrap();
     for stop in [2, 5, 9] {
         let mut first = Trainer::new(&TrainingConfig { episodes: stop, ..config.clone() }, 8);
-        let mut events = Diary::default();
         let result = first.evaluate(&held_out).unwrap();
-        events.events.push(Event::Evaluation { episode: 0, best: true, result });
+        let mut events = vec![Event::Evaluation { episode: 0, best: true, result }];
         while first.episode() < stop {
-            events.events.push(Event::Episode(first.run_episode().unwrap()));
+            events.push(Event::Episode(first.run_episode().unwrap()));
             if first.episode() > 4 && first.episode().is_multiple_of(3) {
                 first.evaluate(&held_out).unwrap();
             }
         }
         let bytes = first.to_checkpoint().unwrap();
         let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperDraws)).unwrap();
-        train(&mut second, &held_out, &mut events).unwrap();
+        let events = Mutex::new(events);
+        train(&mut second, &held_out, &Listener(|event: &Event| events.lock().unwrap().push(*event))).unwrap();
+        let events = events.into_inner().unwrap();
         assert!(second.to_checkpoint().unwrap() == through.to_checkpoint().unwrap(), "stopped after {stop}");
         assert!(second.policy().unwrap() == through.policy().unwrap(), "stopped after {stop}");
-        assert_eq!(diary.events[0], events.events[0], "the untrained policy is judged first");
-        assert!(diary.events.ends_with(&events.events[1 + stop as usize..]), "stopped after {stop}");
+        assert_eq!(diary[0], events[0], "the untrained policy is judged first");
+        assert!(diary.ends_with(&events[1 + stop as usize..]), "stopped after {stop}");
     }
 }
 
@@ -157,7 +143,7 @@ fn a_seed_gives_the_same_policy_whatever_the_threads() {
     let policies = |threads| {
         side_by_side(&[1, 2, 3], threads, |&seed| {
             let mut trainer = Trainer::new(&config, seed);
-            train(&mut trainer, &held_out, &mut Diary::default()).unwrap();
+            train(&mut trainer, &held_out, &Quiet).unwrap();
             trainer.policy().unwrap().to_bytes().unwrap()
         })
     };

@@ -75,12 +75,11 @@ pub(in crate::assessment) fn gather_one(plan: &AssessmentPlan, name: &str, work:
 fn count(plan: &AssessmentPlan, work: &Work<'_>, counted: Counted<'_>) -> Result<Proof, AssessError> {
     let Counted { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
-        controllers: (controller, against),
-        space: space.space.clone(),
+        against,
         seed: plan.config.seed ^ SEED_APART,
         estimator: plan.config.estimator,
-        runs: plan.config.rates.runs,
         confidence: plan.config.rates.confidence,
+        ..RateConfig::new(controller, space.space.clone(), plan.config.rates.runs)
     })?;
     // A line with the certificate, and one with who gave no answer, if somebody did.
     let kept: String = work.get(&name, rates.registration(), || {

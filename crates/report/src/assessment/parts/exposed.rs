@@ -90,6 +90,6 @@ pub(super) fn exposed(
         Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
     };
     let runs_each = u32::try_from(plan.config.draws).unwrap_or(MOST_RUNS_EACH).clamp(1, MOST_RUNS_EACH);
-    let resamples = run_again(&named.space, plan.config.seed, (RESAMPLES, runs_each), &mut failures)?;
+    let resamples = run_again(&named.space, plan.config.seed, RESAMPLES, runs_each, &mut failures)?;
     Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
 }

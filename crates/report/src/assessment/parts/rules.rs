@@ -15,8 +15,7 @@ use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
 use crumple_core::digest::sha256;
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, Summary};
+use crumple_search::falsify::campaign::{Campaign, Summary};
 use crumple_search::falsify::counterexample::Counterexample;
 use crumple_world::measure::{Conduct, Specification};
 use crumple_world::sim::{NamedController, Unanswered};
@@ -115,15 +114,11 @@ impl<'p> RulePlan<'p> {
         let (controller, space) = (self.controller.1, &self.space.space);
         let nominal = space.scenario(&space.nominal())?;
         let campaign = Campaign {
-            controller: controller.clone(),
             estimator: plan.config.estimator,
-            space: space.clone(),
             specification: Specification::parse(self.rule, &nominal)?,
-            contrast: None,
-            aim: Aim::default(),
-            method: Method::Auto,
             budget: plan.config.search.budget,
             seed: plan.config.seed,
+            ..Campaign::new(controller.clone(), space.clone())
         };
         let item = self.name();
         let inputs = json!([plan.identity(controller), self.space.text, self.rule, campaign.budget, campaign.seed]);

@@ -1,10 +1,12 @@
 //! The failure search: for each controller, what was searched, how hard, and what was found.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
 use maud::html;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -22,10 +24,9 @@ use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, StoreError};
 use crumple_evidence::RateInterval;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Aim, Campaign, Log, Summary};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, Summary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_store::disk::DiskError;
-use crumple_world::measure::Specification;
 use crumple_world::scenario::file;
 use crumple_world::sim::{NamedController, Unanswered};
 
@@ -191,15 +192,10 @@ impl Search {
     ) -> Result<Self, AssessError> {
         let space = &named.space;
         let campaign = Campaign {
-            controller: controller.clone(),
             estimator: plan.config.estimator,
-            space: space.clone(),
-            specification: Specification::NoContact,
-            contrast: None,
-            aim: Aim::default(),
-            method: Method::Auto,
             budget: plan.config.search.budget,
             seed: plan.config.seed,
+            ..Campaign::new(controller.clone(), space.clone())
         };
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
@@ -386,10 +382,10 @@ pub(super) fn searched(
 ) -> Result<(Summary, Vec<Texts>), AssessError> {
     work.get(item, inputs, || {
         let folder = work.store.workplace(item, inputs)?;
-        let (goes_on, mut done) = (campaign.controller.kind.identity().is_some(), 0);
-        let summary = campaign.run_keeping(Log::Full, folder.path(), goes_on, &mut |progress| {
-            let more = progress.evaluations - done;
-            done = progress.evaluations;
+        let options = CampaignOptions { resume: campaign.controller.kind.identity().is_some(), ..Default::default() };
+        let done = AtomicU64::new(0);
+        let summary = campaign.run(folder.path(), options, &|progress: &CampaignProgress| {
+            let more = progress.evaluations - done.swap(progress.evaluations, Ordering::Relaxed);
             if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         })?;
         let shown = summary.counterexamples.iter().take(most);

@@ -425,15 +425,14 @@ mod tests {
 
     use super::*;
     use crate::assessment::{AssessConfig, Store};
+    use crumple_core::observer::{Counter, Quiet};
 
     #[test]
     fn both_sides_are_told_of_every_controller() {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), &|_| std::ops::ControlFlow::Continue(())))
-            .unwrap()
-            .unwrap();
+        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), Counter::new(&Quiet, None))).unwrap().unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
         assert_eq!((idm.failures, idm.needless, idm.hard, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.needless > found.draws / 2 && retrained.progress < idm.progress);

@@ -13,7 +13,8 @@ use crate::assessment::markdown::Inline;
 use crate::assessment::table::{Cell, Table};
 use crate::assessment::work::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
-use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, hunt};
+use crumple_core::observer::Quiet;
+use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, attack};
 use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
 use crumple_world::sim::{NamedController, RunOptions};
 
@@ -229,7 +230,7 @@ impl WorstProfile {
     ) -> Result<Self, AssessError> {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
         let AttackResult { found, evaluations, programs } =
-            hunt(scenario, &options, Aim::Mildest, envelope, BUDGET, &mut |_| std::ops::ControlFlow::Continue(()))?;
+            attack(scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet)?;
         let mildest = match found {
             Some(attack) => Mildest::of(attack, controller, plan)?,
             None => None,

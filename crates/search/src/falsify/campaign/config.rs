@@ -20,26 +20,17 @@ pub const CAMPAIGN_VERSION: u32 = 2;
 /// Everything that decides a campaign's results.
 ///
 /// ```
-/// use crumple_search::falsify::Method;
-/// use crumple_search::falsify::campaign::{Aim, Campaign};
+/// use crumple_core::observer::Quiet;
+/// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 /// use crumple_world::control::ControllerSpec;
-/// use crumple_world::measure::Specification;
-/// use crumple_world::observation::EstimatorKind;
 /// use crumple_world::scenario::space::built_in_space;
 ///
 /// let campaign = Campaign {
-///     controller: ControllerSpec::named("match-leader").unwrap().into(),
-///     estimator: EstimatorKind::Kalman,
-///     space: built_in_space("high-risk").unwrap(),
-///     specification: Specification::NoContact,
-///     contrast: None,
-///     method: Method::Auto,
-///     aim: Aim::Severest,
 ///     budget: 50,
-///     seed: 0,
+///     ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
 /// };
 /// let folder = tempfile::tempdir().unwrap();
-/// let summary = campaign.run(&folder.path().join("campaign"), false, &mut |_| {}).unwrap();
+/// let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet).unwrap();
 /// assert!(summary.falsified);
 /// ```
 #[derive(Debug, Clone)]
@@ -62,6 +53,15 @@ pub struct Campaign {
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
+}
+
+/// Options of a campaign in its folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CampaignOptions {
+    /// Record of the evaluations.
+    pub log: Log,
+    /// Continue the campaign that the folder holds, if there is one. Without it such a folder is refused.
+    pub resume: bool,
 }
 
 /// What is kept of the evaluations themselves.
@@ -160,7 +160,7 @@ impl CampaignRecord {
             controller_sha256: campaign.controller.identity_beside_name(),
             estimator: campaign.estimator,
             specification: campaign.specification.to_string(),
-            method: campaign.method,
+            method: campaign.method.clone(),
             aim: campaign.aim,
             budget: campaign.budget,
             seed: campaign.seed,
@@ -177,13 +177,30 @@ impl CampaignRecord {
 }
 
 /// The methods in the order in which they run: the one asked for, then the reference searches.
-pub(in crate::falsify) fn methods(asked_for: Method) -> Vec<Method> {
-    let mut methods = vec![asked_for];
-    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| *method != asked_for));
+pub(in crate::falsify) fn methods(asked_for: &Method) -> Vec<Method> {
+    let mut methods = vec![asked_for.clone()];
+    methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != asked_for));
     methods
 }
 
 impl Campaign {
+    /// Creates the campaign that `crumple falsify` runs by default: a search for collisions by the method `auto` with 2000 evaluations,
+    /// through the Kalman filter, with seed 0.
+    #[must_use]
+    pub fn new(controller: impl Into<NamedController>, space: Space) -> Self {
+        Self {
+            controller: controller.into(),
+            estimator: EstimatorKind::Kalman,
+            space,
+            specification: Specification::NoContact,
+            contrast: None,
+            method: Method::Auto,
+            aim: Aim::Severest,
+            budget: 2000,
+            seed: 0,
+        }
+    }
+
     /// Hash of the policy under test; none for other controllers.
     #[must_use]
     pub fn policy_sha256(&self) -> Option<String> {
@@ -193,7 +210,7 @@ impl Campaign {
     /// The methods in the order in which they run: the one asked for, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
-        methods(self.method)
+        methods(&self.method)
     }
 
     /// How scenarios are judged.

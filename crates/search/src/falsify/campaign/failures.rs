@@ -151,10 +151,10 @@ impl Failures {
         Self { specification, kinds: Vec::new(), front: Front::default() }
     }
 
-    pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) {
+    pub(super) fn add(&mut self, method: &Method, evaluated: &Evaluated) {
         let Some(kind) = FailureKind::of(&evaluated.verdict, &self.specification) else { return };
         let candidate = FailureCandidate {
-            method,
+            method: method.clone(),
             number: evaluated.number,
             values: evaluated.values.clone(),
             verdict: evaluated.verdict,
@@ -165,16 +165,16 @@ impl Failures {
         let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind) else {
             self.kinds.push(Kind {
                 kind,
-                by_method: vec![(method, 1, evaluated.number)],
+                by_method: vec![(method.clone(), 1, evaluated.number)],
                 first: candidate.clone(),
                 severest: candidate.clone(),
                 likeliest: candidate,
             });
             return;
         };
-        match known.by_method.iter_mut().find(|(by, ..)| *by == method) {
+        match known.by_method.iter_mut().find(|(by, ..)| by == method) {
             Some((_, count, _)) => *count += 1,
-            None => known.by_method.push((method, 1, evaluated.number)),
+            None => known.by_method.push((method.clone(), 1, evaluated.number)),
         }
         if candidate.is_likelier_than(&known.likeliest) {
             known.likeliest = candidate.clone();
@@ -187,8 +187,8 @@ impl Failures {
     /// Takes in those of other evaluations by the same methods, which are named in the order in which they run. Which come first
     /// makes no difference: of equal failures the one that is found earlier stands, as in a search without a break.
     pub(super) fn join(&mut self, other: Self, methods: &[Method]) {
-        let order = |method: Method| methods.iter().position(|known| *known == method);
-        let position = |found: &FailureCandidate| (order(found.method), found.number);
+        let order = |method: &Method| methods.iter().position(|known| known == method);
+        let position = |found: &FailureCandidate| (order(&found.method), found.number);
         for candidate in other.front.failures() {
             self.front.join(candidate, |known| position(candidate) < position(known));
         }
@@ -205,7 +205,7 @@ impl Failures {
                     None => known.by_method.push((method, count, first)),
                 }
             }
-            known.by_method.sort_by_key(|(method, ..)| order(*method));
+            known.by_method.sort_by_key(|(method, ..)| order(method));
             if position(&kind.first) < position(&known.first) {
                 known.first = kind.first;
             }

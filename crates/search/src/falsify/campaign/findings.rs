@@ -157,7 +157,7 @@ impl Findings {
     pub(super) fn add(&mut self, reached: &mut Reached, evaluated: &Evaluated) {
         let fails = FailureKind::of(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
-        self.failures.add(reached.method, evaluated);
+        self.failures.add(&reached.method, evaluated);
     }
 
     /// Where failures lie, by the first points of the reference searches: those points again, and what is known of each. Some may be

@@ -114,7 +114,7 @@ impl Look {
                 parts.pop();
                 let left = MOST_SHOWN.saturating_sub(self.evaluations.len());
                 for (method, evaluated) in rows.into_iter().take(left) {
-                    self.failures.add(method, &evaluated);
+                    self.failures.add(&method, &evaluated);
                     self.evaluations.push((method, evaluated));
                 }
                 if self.evaluations.len() >= MOST_SHOWN {
@@ -142,7 +142,7 @@ impl Look {
                 let is_more = most > 0 && verdicts.len() == most;
                 for verdict in verdicts {
                     let Some((method, evaluated)) = following.next(&self.terms, verdict) else { return Ok(false) };
-                    self.failures.add(method, &evaluated);
+                    self.failures.add(&method, &evaluated);
                     self.evaluations.push((method, evaluated));
                 }
                 Ok(is_more)
@@ -265,7 +265,7 @@ impl Following {
             self.asked.clear();
             self.told.clear();
         }
-        let method = *methods.get(self.method)?;
+        let method = methods.get(self.method)?.clone();
         let search = self.search.get_or_insert_with(|| method.start(&terms.cube, seed));
         if self.told.len() == self.asked.len() {
             if !self.asked.is_empty() {
@@ -293,11 +293,12 @@ impl Following {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::falsify::campaign::{Aim, Campaign, Log};
+    use crate::falsify::campaign::{Aim, Campaign, CampaignOptions, CampaignProgress};
+    use crumple_core::observer::{Listener, Quiet};
     use crumple_world::control::ControllerSpec;
     use crumple_world::scenario::space::built_in_space;
     use std::fs;
-    use std::ops::ControlFlow;
+    use std::sync::Mutex;
 
     fn all(look: &mut Look) {
         while look.go_on(37).unwrap() {}
@@ -312,37 +313,33 @@ mod tests {
             (Method::Uniform, Aim::Severest, "paper"),
         ] {
             let campaign = Campaign {
-                controller: ControllerSpec::named("match-leader").unwrap().into(),
                 estimator: EstimatorKind::Truth,
-                space: built_in_space(space).unwrap(),
-                specification: Specification::NoContact,
-                contrast: None,
                 method,
                 aim,
                 budget: 300,
                 seed: 7,
+                ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space(space).unwrap())
             };
             let parent = tempfile::tempdir().unwrap();
             let folder = parent.path().join("campaign");
             assert!(Look::at(&folder).is_err());
-            let mut early: Option<Look> = None;
-            let mut seen = Vec::new();
-            let mut told = 0;
-            let summary = campaign
-                .run_keeping(Log::Full, &folder, false, &mut |progress| {
-                    told += 1;
-                    // As it writes: now and then, beginning in its middle too.
-                    if told % 5 == 2 {
-                        let look = early.get_or_insert_with(|| Look::at(&folder).unwrap());
-                        all(look);
-                        seen.push((progress.evaluations, look.evaluations().len() as u64));
-                        let mut fresh = Look::at(&folder).unwrap();
-                        all(&mut fresh);
-                        assert_eq!(fresh.evaluations(), look.evaluations());
-                    }
-                    ControlFlow::Continue(())
-                })
-                .unwrap();
+            // The early look, what it saw, and the reports of progress so far.
+            let state = Mutex::new((None::<Look>, Vec::new(), 0));
+            let observer = Listener(|progress: &CampaignProgress| {
+                let (early, seen, reports) = &mut *state.lock().unwrap();
+                *reports += 1;
+                // As it writes: now and then, beginning in its middle too.
+                if *reports % 5 == 2 {
+                    let look = early.get_or_insert_with(|| Look::at(&folder).unwrap());
+                    all(look);
+                    seen.push((progress.evaluations, look.evaluations().len() as u64));
+                    let mut fresh = Look::at(&folder).unwrap();
+                    all(&mut fresh);
+                    assert_eq!(fresh.evaluations(), look.evaluations());
+                }
+            });
+            let summary = campaign.run(&folder, CampaignOptions::default(), &observer).unwrap();
+            let (early, seen, _) = state.into_inner().unwrap();
             assert!(seen.iter().any(|(_, seen)| *seen > 100), "{seen:?}");
             assert!(seen.iter().all(|(made, seen)| seen >= made), "{seen:?}");
             let while_running = early.as_ref().unwrap().evaluations().to_vec();
@@ -350,7 +347,8 @@ mod tests {
             all(&mut finished);
             assert_eq!(finished.evaluations().len() as u64, finished.total());
             // Tables hold values, and of a choice any point of its share has the same.
-            let seen = |(method, one): &(Method, Evaluated)| (*method, one.number, one.values.clone(), one.verdict);
+            let seen =
+                |(method, one): &(Method, Evaluated)| (method.clone(), one.number, one.values.clone(), one.verdict);
             let same = finished.evaluations()[..while_running.len()].iter().map(seen);
             assert!(same.eq(while_running.iter().map(seen)));
             assert_eq!((finished.summary(), finished.front()), (Some(&summary), summary.front.clone()));
@@ -370,18 +368,14 @@ mod tests {
     #[test]
     fn damage_stays_visible_as_long_as_it_is_there() {
         let campaign = Campaign {
-            controller: ControllerSpec::named("match-leader").unwrap().into(),
             estimator: EstimatorKind::Truth,
-            space: built_in_space("high-risk").unwrap(),
-            specification: Specification::NoContact,
-            contrast: None,
             method: Method::Uniform,
-            aim: Aim::Severest,
             budget: 40,
             seed: 7,
+            ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
         };
         let folder = tempfile::tempdir().unwrap();
-        campaign.run(folder.path(), false, &mut |_| {}).unwrap();
+        campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
         let table = fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
         let whole = fs::read(&table).unwrap();
         let mut damaged = whole.clone();

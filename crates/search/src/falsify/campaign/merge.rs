@@ -65,15 +65,15 @@ impl MergedCampaign {
         }
         let methods = self.terms.methods();
         self.findings.join(findings, &methods);
-        let place = |method: Method, number: u64| (methods.iter().position(|known| *known == method), number);
+        let place = |method: &Method, number: u64| (methods.iter().position(|known| known == method), number);
         let known = examined.into_iter().filter_map(|one| {
-            let (method, number) = place(one.method, one.number);
+            let (method, number) = place(&one.method, one.number);
             Some(((method?, number), one))
         });
         self.examined.extend(known);
         let picks = self.findings.failures.picks(usize::MAX);
         let is_picked = |(method, number): &(usize, u64)| {
-            picks.iter().any(|pick: &&FailureCandidate| place(pick.method, pick.number) == (Some(*method), *number))
+            picks.iter().any(|pick: &&FailureCandidate| place(&pick.method, pick.number) == (Some(*method), *number))
         };
         self.examined.retain(|key, _| is_picked(key));
         Ok(())

@@ -2,19 +2,21 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::super::shard::ShardedCampaign;
-use super::super::{Aim, Campaign, CampaignError, Log, Summary};
+use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, Log, Summary};
 use super::MergedCampaign;
 use crate::falsify::Method;
+use crumple_core::observer::{Observer, Quiet};
 use crumple_store::shard::{MergeError, Shard, open_shard};
 use crumple_store::work::{Found, find};
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 
@@ -24,16 +26,21 @@ const MOST: u32 = 4;
 
 fn campaign(method: Method, seed: u64) -> Campaign {
     Campaign {
-        controller: ControllerSpec::named("match-leader").unwrap().into(),
         estimator: EstimatorKind::Truth,
-        space: built_in_space("high-risk").unwrap(),
-        specification: Specification::NoContact,
-        contrast: None,
         method,
-        aim: Aim::Severest,
         budget: BUDGET,
         seed,
+        ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
     }
+}
+
+fn summary_only(resume: bool) -> CampaignOptions {
+    CampaignOptions { log: Log::Summary, resume }
+}
+
+/// An observer that stops a campaign at once.
+fn stop() -> impl Observer<CampaignProgress> {
+    |_: &CampaignProgress| ControlFlow::Break(())
 }
 
 /// All shards of all numbers, each in a folder of its own.
@@ -41,7 +48,7 @@ fn all_shards(campaign: &Campaign, root: &Path) {
     for of in 1..=MOST {
         for index in 1..=of {
             let shard = Shard::new(index, of).unwrap();
-            campaign.run_shard(shard, &folder(root, shard), false, &mut |_| ControlFlow::Continue(())).unwrap();
+            campaign.run_shard(shard, &folder(root, shard), false, &Quiet).unwrap();
         }
     }
 }
@@ -80,7 +87,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 fn single(campaign: &Campaign) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    campaign.run_keeping(Log::Summary, folder.path(), false, &mut |_| ControlFlow::Continue(())).unwrap();
+    campaign.run(folder.path(), summary_only(false), &Quiet).unwrap();
     folder
 }
 
@@ -123,7 +130,7 @@ fn a_divided_reference_search_is_that_of_one_machine() {
             }
         });
         // What it wrote is the campaign's own folder.
-        assert!(campaign.run_keeping(Log::Summary, single.path(), true, &mut |_| ControlFlow::Break(())).is_ok());
+        assert!(campaign.run(single.path(), summary_only(true), &stop()).is_ok());
     }
 }
 
@@ -192,7 +199,7 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     let root = tempfile::tempdir().unwrap();
     let make = |campaign: &Campaign, index, of, name: &str| {
         let folder = root.path().join(name);
-        campaign.run_shard(Shard::new(index, of).unwrap(), &folder, false, &mut |_| ControlFlow::Continue(())).unwrap();
+        campaign.run_shard(Shard::new(index, of).unwrap(), &folder, false, &Quiet).unwrap();
         folder
     };
     let own = campaign(Method::Halton, 1);
@@ -202,9 +209,7 @@ fn shards_of_other_campaigns_and_damaged_ones_are_refused() {
     assert!(refused(&b).ends_with("campaign.seed differs"), "{}", refused(&b));
     let c = make(&own, 1, 3, "c");
     assert!(refused(&c).contains("shard 1/3 has done what shard 1/2"), "{}", refused(&c));
-    let error = own.run_shard(Shard::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &mut |_| {
-        ControlFlow::Continue(())
-    });
+    let error = own.run_shard(Shard::new(1, BUDGET as u32 + 1).unwrap(), &root.path().join("x"), false, &Quiet);
     assert!(error.unwrap_err().to_string().contains("there are 40 evaluations of each method"));
     // Every place that is changed is named.
     let d = make(&own, 2, 2, "d");
@@ -229,15 +234,14 @@ fn an_interrupted_shard_ends_with_the_same_files() {
     let (campaign, root) = (campaign(Method::CmaEs, 6), tempfile::tempdir().unwrap());
     let shard = Shard::new(2, 3).unwrap();
     let [whole, part] = ["whole", "part"].map(|name| root.path().join(name));
-    campaign.run_shard(shard, &whole, false, &mut |_| ControlFlow::Continue(())).unwrap();
+    campaign.run_shard(shard, &whole, false, &Quiet).unwrap();
     assert_eq!(files(&whole).len(), 4, "{:?}", files(&whole).keys());
     for most in [0, 1, 2, 5, 7, 100] {
-        let mut told = 0;
-        let ended = campaign.run_shard(shard, &part, true, &mut |_| {
-            told += 1;
-            if told > most { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        let reports = AtomicU64::new(0);
+        let ended = campaign.run_shard(shard, &part, true, &|_: &CampaignProgress| {
+            if reports.fetch_add(1, Relaxed) < most { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         });
-        assert!(matches!(ended, Err(CampaignError::BrokenOff)) == (most < 100), "{most}: {ended:?}");
+        assert!(matches!(ended, Err(CampaignError::Stopped(_))) == (most < 100), "{most}: {ended:?}");
     }
     assert!(files(&part) == files(&whole));
 }
@@ -248,11 +252,11 @@ fn shards_are_put_together_over_a_campaign_that_was_broken_off() {
     let (campaign, root) = (campaign(Method::Halton, 6), tempfile::tempdir().unwrap());
     let shards = [1, 2].map(|index| Shard::new(index, 2).unwrap());
     for shard in shards {
-        campaign.run_shard(shard, &folder(root.path(), shard), false, &mut |_| ControlFlow::Continue(())).unwrap();
+        campaign.run_shard(shard, &folder(root.path(), shard), false, &Quiet).unwrap();
     }
     let broken_off = root.path().join("broken-off");
-    let ended = campaign.run_keeping(Log::Summary, &broken_off, false, &mut |_| ControlFlow::Break(()));
-    assert!(matches!(ended, Err(CampaignError::BrokenOff)) && broken_off.join("evaluations.journal").exists());
+    let ended = campaign.run(&broken_off, summary_only(false), &stop());
+    assert!(matches!(ended, Err(CampaignError::Stopped(_))) && broken_off.join("evaluations.journal").exists());
     merged(&shards.map(|shard| folder(root.path(), shard))).unwrap().write_in(&broken_off).unwrap();
     assert!(files(&broken_off) == files(single(&campaign).path()));
 }
@@ -294,7 +298,7 @@ fn findings_that_cannot_be_are_refused() {
         (|found| found["methods"][0]["evaluations"] = json!(u64::MAX), "methods: not what this part"),
     ];
     let genuine = root.path().join("genuine");
-    campaign.run_shard(shard, &genuine, false, &mut |_| ControlFlow::Continue(())).unwrap();
+    campaign.run_shard(shard, &genuine, false, &Quiet).unwrap();
     for (place, (change, said)) in changes.into_iter().enumerate() {
         let folder = root.path().join(place.to_string());
         for (path, bytes) in files(&genuine) {

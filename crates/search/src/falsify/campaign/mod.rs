@@ -38,7 +38,7 @@ mod table;
 mod terms;
 
 pub use aim::{Aim, UnknownAim};
-pub use config::{CAMPAIGN_VERSION, Campaign, Divided, Log};
+pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, Divided, Log};
 pub use coverage::Covered;
 pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
@@ -46,11 +46,12 @@ pub use front::FrontPoint;
 pub use look::{Look, MOST_SHOWN};
 pub use merge::MergedCampaign;
 pub use regions::Region;
-pub use run::{CAMPAIGN, Progress, with_journal};
+pub use run::{CAMPAIGN, CampaignProgress, with_journal};
 pub use shard::{SHARD_OF_A_CAMPAIGN, ShardDone};
 pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
 pub(in crate::falsify) use terms::Terms;
 
+use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
 use crumple_world::measure::{RunVerdict, SpecificationError};
@@ -104,6 +105,12 @@ pub enum CampaignError {
     /// The same, where it would be several machines that go on.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
     UnknownInShards(String),
+    /// The method of a divided campaign is not built in.
+    #[error("the search method `{0}` is not built in: its campaign cannot be divided into shards")]
+    CustomInShards(String),
+    /// The search method proposed no points, or points outside the unit cube.
+    #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
+    InvalidPoints(String),
     /// There are more shards than evaluations.
     #[error(transparent)]
     Shards(#[from] crumple_store::shard::TooManyShards),
@@ -116,9 +123,9 @@ pub enum CampaignError {
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
-    /// The caller broke it off.
-    #[error("the campaign was broken off")]
-    BrokenOff,
+    /// The observer stopped the campaign.
+    #[error("the campaign was {0}")]
+    Stopped(#[from] Stopped),
     /// A file cannot be encoded or decoded.
     #[error("cannot encode or decode a file of the campaign: {0}")]
     Encoding(String),

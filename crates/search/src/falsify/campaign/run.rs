@@ -1,6 +1,6 @@
 //! Running a campaign, from its first evaluation to its summary.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::path::Path;
 
 use super::findings::{Findings, Reached};
@@ -8,9 +8,10 @@ use super::journal::Journal;
 use super::summary::Summary;
 use super::table::Table;
 use super::terms::Terms;
-use super::{Campaign, CampaignError, Evaluated, Log};
+use super::{Campaign, CampaignError, CampaignOptions, Evaluated, Log};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
+use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::work::{Asked, Examined, Work, WorkError};
 use crumple_world::measure::RunVerdict;
@@ -23,9 +24,9 @@ const BLIND_BATCHES: usize = 16;
 /// Kinds of failures that are looked at closely: the most frequent ones.
 pub(super) const MOST_KINDS: usize = 12;
 
-/// How far a campaign is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Progress {
+/// Progress of a campaign.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CampaignProgress {
     /// The method at work; none once counterexamples are examined.
     pub method: Option<Method>,
     /// Evaluations done, of all methods together.
@@ -51,37 +52,16 @@ pub(super) struct Searching<'a> {
     pub(super) part: Range<u64>,
 }
 
-/// Is told how far a campaign is, and may break it off.
-pub(super) type Told<'t> = &'t mut dyn FnMut(&Progress) -> ControlFlow<()>;
-
 impl Campaign {
-    /// Runs the campaign in `folder`, or goes on with it where `resume` says so.
+    /// Runs the campaign in `folder`. If `observer` stops it, the folder keeps the evaluations, and a run with `resume` continues.
     ///
     /// # Errors
-    /// [`CampaignError`] if the folder cannot be used, or a scenario cannot be run.
+    /// [`CampaignError`] if the folder cannot be used, a scenario cannot be run, or `observer` stops the campaign.
     pub fn run(
         &self,
         folder: &Path,
-        resume: bool,
-        progress: &mut dyn FnMut(&Progress),
-    ) -> Result<Summary, CampaignError> {
-        self.run_keeping(Log::Full, folder, resume, &mut |state| {
-            progress(state);
-            ControlFlow::Continue(())
-        })
-    }
-
-    /// Runs the campaign as [`Self::run`] does, with `log` for the evaluations. If `progress` breaks it off, the folder keeps the evaluations for
-    /// `resume`.
-    ///
-    /// # Errors
-    /// As [`Self::run`], and [`CampaignError::BrokenOff`].
-    pub fn run_keeping(
-        &self,
-        log: Log,
-        folder: &Path,
-        resume: bool,
-        progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+        CampaignOptions { log, resume }: CampaignOptions,
+        observer: &dyn Observer<CampaignProgress>,
     ) -> Result<Summary, CampaignError> {
         if let Some(unknown) = self.drivers().find(|driver| resume && driver.kind.identity().is_none()) {
             return Err(CampaignError::NoIdentity(unknown.name.clone()));
@@ -103,21 +83,21 @@ impl Campaign {
             findings: Findings::of(&terms),
             part: 0..self.budget,
         };
-        searching.search_all(progress)?;
+        searching.search_all(observer)?;
         searching.ask_the_silent()?;
         let Searching { table, findings, .. } = &mut searching;
         // Until all of this is there, the journal is.
         let mut results = work.changes();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
-        let told = state(None, &findings.reached, self.total(&(0..self.budget)));
-        go_on(progress(&told))?;
+        let progress = state(None, &findings.reached, self.total(&(0..self.budget)));
+        observer.notify(&progress)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { terms: &terms });
         let mut distinct = recorder.distinct(examiner.examine_all(&findings.failures.picks(MOST_KINDS))?);
         examiner.class_all(&mut distinct);
         self.none_refused()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = Summary::of(&terms, findings, counterexamples, &[])?;
-        go_on(progress(&told))?;
+        observer.notify(&progress)?;
         results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
         work.finish()?;
         Ok(summary)
@@ -156,9 +136,9 @@ impl Campaign {
 
 impl Searching<'_> {
     /// Every method with its part of the budget.
-    pub(super) fn search_all(&mut self, progress: Told<'_>) -> Result<(), CampaignError> {
+    pub(super) fn search_all(&mut self, observer: &dyn Observer<CampaignProgress>) -> Result<(), CampaignError> {
         for method in self.campaign.methods() {
-            let reached = self.search(method, progress)?;
+            let reached = self.search(method, observer)?;
             self.findings.reached.push(reached);
         }
         Ok(())
@@ -175,14 +155,14 @@ impl Searching<'_> {
         self.campaign.none_refused()
     }
 
-    pub(super) fn progress(&self, current: Option<&Reached>) -> Progress {
+    pub(super) fn progress(&self, current: Option<&Reached>) -> CampaignProgress {
         state(current, &self.findings.reached, self.campaign.total(&self.part))
     }
 
-    fn search(&mut self, method: Method, progress: Told<'_>) -> Result<Reached, CampaignError> {
+    fn search(&mut self, method: Method, observer: &dyn Observer<CampaignProgress>) -> Result<Reached, CampaignError> {
         let (terms, space) = (self.terms, &self.terms.space);
         let mut search = method.start_after(self.part.start, &terms.cube, terms.record.seed);
-        let mut reached = Reached::new(method, space.dimension());
+        let mut reached = Reached::new(method.clone(), space.dimension());
         let budget = self.part.end - self.part.start;
         while reached.evaluations < budget {
             let mut points = search.ask();
@@ -193,6 +173,9 @@ impl Searching<'_> {
                 }
             }
             points.truncate(usize::try_from(budget - reached.evaluations).unwrap_or(usize::MAX));
+            if points.is_empty() || !points.iter().all(|point| terms.cube.contains(point)) {
+                return Err(CampaignError::InvalidPoints(method.name().to_owned()));
+            }
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
                 && let Some(verdict) = self.journal.next()?
@@ -201,8 +184,8 @@ impl Searching<'_> {
             }
             let known = verdicts.len();
             verdicts.extend(self.campaign.evaluate(space, points.get(known..).unwrap_or_default())?);
-            // Who breaks it off may have ended runs halfway: what came of these is not kept.
-            go_on(progress(&self.progress(Some(&reached))))?;
+            // An observer that stops the campaign may have ended runs early: their verdicts are not kept.
+            observer.notify(&self.progress(Some(&reached)))?;
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
                 self.work.grew(JOURNAL, durable)?;
             }
@@ -219,11 +202,11 @@ impl Searching<'_> {
                 told.push(self.campaign.aim.value(&evaluated));
                 self.findings.add(&mut reached, &evaluated);
                 if let Some(table) = &mut self.table {
-                    table.add(method, &evaluated)?;
+                    table.add(&method, &evaluated)?;
                 }
             }
             search.tell(&told);
-            go_on(progress(&self.progress(Some(&reached))))?;
+            observer.notify(&self.progress(Some(&reached)))?;
         }
         Ok(reached)
     }
@@ -278,15 +261,10 @@ pub(super) const JOURNAL: &str = "evaluations.journal";
 pub(super) const SUMMARY: &str = "summary.json";
 pub(super) const TEXT: &str = "summary.txt";
 
-/// Nothing more, once the caller has broken it off.
-pub(super) fn go_on(flow: ControlFlow<()>) -> Result<(), CampaignError> {
-    if flow.is_break() { Err(CampaignError::BrokenOff) } else { Ok(()) }
-}
-
-fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> Progress {
+fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> CampaignProgress {
     let all = || done.iter().chain(current);
-    Progress {
-        method: current.map(|reached| reached.method),
+    CampaignProgress {
+        method: current.map(|reached| reached.method.clone()),
         evaluations: all().map(|reached| reached.evaluations).sum(),
         total,
         failures: all().map(|reached| reached.failures).sum(),

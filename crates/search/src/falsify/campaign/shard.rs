@@ -7,7 +7,7 @@
 //! A folder holds `shard.json`, all that decides it, and `findings.json`, what is remembered of its evaluations, with its failures
 //! replayed, shrunk and classed. Evaluations themselves are not kept, but for the journal while it lasts.
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -17,11 +17,12 @@ use super::failures::{Failures, Kind};
 use super::findings::{Findings, Reached};
 use super::front::Front;
 use super::journal::Journal;
-use super::run::{JOURNAL, Progress, Searching, go_on};
+use super::run::{CampaignProgress, JOURNAL, Searching};
 use super::terms::Terms;
 use super::{Campaign, CampaignError, FailureCandidate, FailureKind, Log};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, ExaminedRow, Examiner};
+use crumple_core::observer::Observer;
 use crumple_store::shard::{Shard, Sharded, open_shard};
 use crumple_store::work::{Finished, WorkError};
 
@@ -94,21 +95,24 @@ pub struct ShardDone {
 }
 
 impl Campaign {
-    /// Makes a shard of the campaign in `folder`, or goes on with it where `resume` says so, until `progress` breaks it off.
+    /// Runs a shard of the campaign in `folder`; with `resume`, continues a shard that `observer` or an interruption stopped.
     ///
     /// # Errors
     /// [`CampaignError`] if there are fewer evaluations than shards, the controller states no identity, the folder cannot be used, or a
-    /// scenario cannot be run.
+    /// scenario cannot be run, or `observer` stops the shard.
     pub fn run_shard(
         &self,
         shard: Shard,
         folder: &Path,
         resume: bool,
-        progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+        observer: &dyn Observer<CampaignProgress>,
     ) -> Result<ShardDone, CampaignError> {
         let part = shard.range(self.budget, ShardedCampaign::PARTS)?;
         if let Some(unknown) = self.drivers().find(|driver| driver.kind.identity().is_none()) {
             return Err(CampaignError::UnknownInShards(unknown.name.clone()));
+        }
+        if let Method::Custom(_) = self.method {
+            return Err(CampaignError::CustomInShards(self.method.name().to_owned()));
         }
         let terms = Terms::of(self, Log::Summary)?;
         self.check(&terms.nominal)?;
@@ -123,15 +127,15 @@ impl Campaign {
         let findings = Findings::of(&terms);
         let mut searching =
             Searching { campaign: self, terms: &terms, work: &work, journal, table: None, findings, part };
-        searching.search_all(progress)?;
+        searching.search_all(observer)?;
         searching.ask_the_silent()?;
-        go_on(progress(&searching.progress(None)))?;
+        observer.notify(&searching.progress(None))?;
         let (findings, examiner) = (&searching.findings, Examiner::new(self, &terms));
         // Of all kinds: which are the most frequent in the end is not known here.
         let mut examined = examiner.examine_all(&findings.failures.picks(usize::MAX))?;
         examiner.class_all(&mut examined);
         self.none_refused()?;
-        go_on(progress(&searching.progress(None)))?;
+        observer.notify(&searching.progress(None))?;
         let file = FindingsFile::of(findings, &examined)?;
         work.changes().write(FINDINGS, json(&file)?).remove(JOURNAL).commit()?;
         work.finish()?;
@@ -148,10 +152,11 @@ impl FindingsFile {
             likeliest: kind.likeliest.clone(),
         };
         let is_examined = |pick: &&&FailureCandidate| {
-            examined.iter().any(|one| (one.method, one.number) == (pick.method, pick.number))
+            examined.iter().any(|one| (&one.method, one.number) == (&pick.method, pick.number))
         };
         let picks = findings.failures.picks(usize::MAX);
-        let not_reproduced = picks.iter().filter(|pick| !is_examined(pick)).map(|pick| (pick.method, pick.number));
+        let not_reproduced =
+            picks.iter().filter(|pick| !is_examined(pick)).map(|pick| (pick.method.clone(), pick.number));
         Ok(Self {
             methods: findings.reached.clone(),
             kinds: findings.failures.kinds.iter().map(row).collect(),
@@ -174,7 +179,7 @@ impl FindingsFile {
     fn read(self, terms: &Terms, part: &Range<u64>) -> Result<(Findings, Vec<Examined>), String> {
         let methods = terms.methods();
         let dimension = terms.space.dimension();
-        let is_sound = self.methods.iter().map(|reached| reached.method).eq(methods.iter().copied())
+        let is_sound = self.methods.iter().map(|reached| &reached.method).eq(&methods)
             && self.methods.iter().all(|reached| reached.is_sound(part, dimension));
         if !is_sound {
             return Err("methods: not what this part of the budget comes to".to_owned());
@@ -209,9 +214,9 @@ impl FindingsFile {
         }
         failures.front = Front::of(self.front);
         let picks = failures.picks(usize::MAX);
-        let looked_at = self.examined.iter().map(ExaminedRow::found_at).chain(self.not_reproduced.iter().copied());
+        let looked_at = self.examined.iter().map(ExaminedRow::found_at).chain(self.not_reproduced.iter().cloned());
         let mut looked_at: Vec<(Method, u64)> = looked_at.collect();
-        let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method, pick.number)).collect();
+        let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method.clone(), pick.number)).collect();
         let order = |(method, number): &(Method, u64)| (methods.iter().position(|known| known == method), *number);
         looked_at.sort_by_key(order);
         wanted.sort_by_key(order);
@@ -236,7 +241,7 @@ impl KindRow {
         };
         let is_known = |(method, ..): &(Method, u64, u64)| methods.contains(method);
         let is_counted =
-            by_method.first().is_some_and(|(by, _, number)| (*by, *number) == (first.method, first.number))
+            by_method.first().is_some_and(|(by, _, number)| (by, *number) == (&first.method, first.number))
                 && by_method.iter().all(|by| is_known(by) && is_made(by))
                 && by_method.is_sorted_by(|(one, ..), (other, ..)| order(one) < order(other));
         let is_severest =

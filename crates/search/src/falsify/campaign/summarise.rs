@@ -86,10 +86,10 @@ impl MethodSummary {
 
 impl KindSummary {
     fn of(kind: &Kind, terms: &Terms, examined: &[Counterexample]) -> Self {
-        let by_method = |&(method, count, first): &(crate::falsify::Method, u64, u64)| ByMethod {
+        let by_method = |(method, count, first): &(crate::falsify::Method, u64, u64)| ByMethod {
             method: method.name().to_owned(),
-            count,
-            first,
+            count: *count,
+            first: *first,
         };
         let words = kind.kind.describe(&terms.nominal);
         Self {

@@ -44,8 +44,8 @@ impl<'a> Table<'a> {
         Self { space, work, parts: 0, rows: Vec::new() }
     }
 
-    pub(super) fn add(&mut self, method: Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
-        self.rows.push((method, evaluated.clone()));
+    pub(super) fn add(&mut self, method: &Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
+        self.rows.push((method.clone(), evaluated.clone()));
         if self.rows.len() < ROWS {
             return Ok(());
         }

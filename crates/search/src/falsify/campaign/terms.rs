@@ -70,7 +70,7 @@ impl Terms {
 
     /// The methods in the order in which they run.
     pub(super) fn methods(&self) -> Vec<Method> {
-        methods(self.record.method)
+        methods(&self.record.method)
     }
 
     /// Distance from nominal: mean over the parameters.

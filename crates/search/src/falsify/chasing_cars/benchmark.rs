@@ -88,7 +88,7 @@ impl Run {
 ///
 /// # Errors
 /// [`ChasingCarsError`] if a specification does not fit the model.
-pub fn benchmark(method: Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
+pub fn benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
     let row = |(name, text): (&str, &str)| -> Result<Row, ChasingCarsError> {
         let formula: Formula = text.parse()?;
         let runs: Vec<Run> = (0..seeds as u64)
@@ -115,7 +115,7 @@ pub fn benchmark(method: Method, budget: usize, first_seed: u64, seeds: usize) -
 ///
 /// What is violated at one step need not be at a finer one, and is then no counterexample: the search is told the larger of both values
 /// and goes on.
-fn run(method: Method, formula: &Formula, budget: usize, seed: u64) -> Result<Run, ChasingCarsError> {
+fn run(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<Run, ChasingCarsError> {
     let mut run =
         Run { seed, evaluations: 0, finer_simulations: 0, best_robustness: f64::INFINITY, counterexample: None };
     let Ok(cube) = Cube::new([PIECES, PIECES]) else { return Ok(run) };
@@ -159,7 +159,7 @@ mod tests {
     fn the_portfolio_falsifies_all_six_whatever_the_number_of_threads() {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| benchmark(Method::Auto, 1500, 0, 3).unwrap())
+            pool.install(|| benchmark(&Method::Auto, 1500, 0, 3).unwrap())
         };
         let result = on(2);
         for row in &result.rows {

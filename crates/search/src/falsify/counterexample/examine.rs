@@ -99,7 +99,7 @@ impl<'a> Examiner<'a> {
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
         Ok(Some(Examined {
-            method: candidate.method,
+            method: candidate.method.clone(),
             number: candidate.number,
             kind,
             values,

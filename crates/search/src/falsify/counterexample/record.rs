@@ -67,7 +67,7 @@ impl ExaminedRow {
     pub(in crate::falsify) fn of(one: &Examined) -> Result<Self, CampaignError> {
         let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::encoding);
         Ok(Self {
-            method: one.method,
+            method: one.method.clone(),
             number: one.number,
             values: one.values.clone(),
             scenario: text(&one.scenario)?,
@@ -85,7 +85,7 @@ impl ExaminedRow {
 
     /// Who found it, and when.
     pub(in crate::falsify) fn found_at(&self) -> (Method, u64) {
-        (self.method, self.number)
+        (self.method.clone(), self.number)
     }
 
     /// What it was, unless it cannot be that.
