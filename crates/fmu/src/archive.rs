@@ -107,7 +107,7 @@ impl<R: Read + Seek> Fmu<R> {
 
     /// The member that is its library for this platform.
     #[must_use]
-    pub(crate) fn library(&self) -> String {
+    pub fn library(&self) -> String {
         let (system, extension) = match std::env::consts::OS {
             "macos" => ("darwin", "dylib"),
             "windows" => ("windows", "dll"),
@@ -125,7 +125,7 @@ impl<R: Read + Seek> Fmu<R> {
 
     /// Whether it has anything beside its description and its libraries that these may want to read.
     #[must_use]
-    pub(crate) fn has_resources(&self) -> bool {
+    pub fn has_resources(&self) -> bool {
         self.names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
     }
 
@@ -139,7 +139,7 @@ impl<R: Read + Seek> Fmu<R> {
     ///
     /// # Errors
     /// [`FmuError`] for an archive that is damaged or too large, and for a folder that cannot be written.
-    pub(crate) fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
+    pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
         let library = self.library();
         let beside = library.rsplit_once('/').map_or("", |(beside, _)| beside).to_owned();
         let mut left = MOST_BYTES;
