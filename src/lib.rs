@@ -14,7 +14,7 @@
 //!
 //! ## Map
 //!
-//! Crates depend downwards only, and the compiler sees to it. Each has its own map.
+//! Crates depend downwards only. Each has its own map.
 //!
 //! | crate | what it holds |
 //! |---|---|

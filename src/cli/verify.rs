@@ -151,14 +151,14 @@ impl Shield {
             let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
             Ok((file(name), text.into_bytes()))
         };
-        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, Failure>>()?;
-        OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
         let mut all = Vec::new();
         for (name, certificate) in &kernels {
             let report = CertificateReport::new(self.out.join(file(name)).display().to_string(), certificate);
             text += &said(&report)?;
             all.push(report);
         }
+        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, Failure>>()?;
+        OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
         match self.format {
             Format::Json => output::print(&report_json(&all).map_err(Failure::input)?),
             Format::Text => output::print_for(Format::Text, &text),

@@ -1,7 +1,7 @@
 //! Claims with a certificate: kernels of shields, failure rates, and boxes in which a policy or a network cannot fail. Estimates without
 //! one: the probability of failures that are too rare to count. [`fit`] fits search spaces to recorded episodes.
 //!
-//! This side proposes; `crumple_verify` decides. No certificate is written that it has not accepted.
+//! `crumple_verify` checks certificates without this crate. [`RatePlan`] and the folders of counts write none that it has not accepted.
 
 mod binding;
 mod binomial;
