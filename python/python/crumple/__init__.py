@@ -54,7 +54,6 @@ __all__ = [
     "SpaceError",
     "Trace",
     "Track",
-    "allow_external",
     "TrainingError",
     "WorstCase",
     "allow_external",

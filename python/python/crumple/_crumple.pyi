@@ -17,12 +17,12 @@ __all__ = [
     "Space",
     "Trace",
     "Track",
+    "allow_external",
     "assess",
     "falsify",
     "monitor",
     "rate",
     "simulate",
-    "allow_external",
     "training_preset",
     "worst_case",
 ]
