@@ -259,7 +259,7 @@ impl RatePlan {
     /// from before this call. If it stops the count, runs may have ended early, and none of this call is counted.
     ///
     /// # Errors
-    /// As [`Self::count_block`], and [`RateError::Stopped`]; `tally` is then as it was.
+    /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the count. `tally` does not change then.
     pub(super) fn count_next(
         &self,
         part: &Range<u64>,

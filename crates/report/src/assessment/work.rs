@@ -31,7 +31,8 @@ impl<'a> Work<'a> {
         Ok(self.controllers.iter().try_for_each(NamedController::not_refused)?)
     }
 
-    /// As [`Store::get`]; what was gathered before the observer stopped the assessment is not kept, because runs may have ended early.
+    /// Returns the evidence that [`Store::get`] returns. Evidence that was gathered while the observer stopped the assessment is not kept,
+    /// because runs may have ended early.
     pub(super) fn get<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,

@@ -104,7 +104,7 @@ impl CounterexampleFile {
         replayed_robustness(&self.formula.parse()?, &inputs)
     }
 
-    /// Whether the independent replay violates the specification, too, by more than `MARGIN_M`, at its step and at a fifth of it.
+    /// Returns whether the independent replay also violates the specification by more than `MARGIN_M`, at its step and at a fifth of it.
     ///
     /// # Errors
     /// [`ChasingCarsError`] if the formula does not fit the model.
