@@ -1,4 +1,4 @@
-"""The book's pages and links: `book.py gather PROGRAM FOLDER` and `book.py check FOLDER`."""
+"""Pages and links: `book.py links`, `book.py gather PROGRAM FOLDER` and `book.py check FOLDER`."""
 
 import json
 import re
@@ -25,6 +25,30 @@ def gather(program, folder):
     reference.mkdir()
     (reference / "commands.md").write_text(commands(program))
     (reference / "formats.md").write_text(formats())
+
+
+def links():
+    """Checks that each link of a Markdown file to a file of the repository leads to a file and to a heading that exist."""
+
+    def anchors(page):
+        headings = re.findall(r"^#+ +(.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S), re.M)
+        return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+    broken, count = [], 0
+    listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard", "*.md"], capture_output=True, text=True, check=True)
+    for page in map(Path, listed.stdout.split()):
+        for link in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(), flags=re.M | re.S)):
+            target, _, part = link.partition("#")
+            if "://" in target or target.startswith("mailto:"):
+                continue
+            path = page.parent / target if target else page
+            count += 1
+            is_generated = path.resolve().is_relative_to(Path("docs/reference").resolve())
+            if not (path.exists() or is_generated) or part and path.suffix == ".md" and path.exists() and part not in anchors(path):
+                broken.append(f"{page}: {link}")
+    if broken:
+        sys.exit("links that lead nowhere:\n  " + "\n  ".join(broken))
+    print(f"{count} links lead somewhere")
 
 
 def with_links(text, place):
@@ -165,4 +189,4 @@ def check(folder):
 
 
 if __name__ == "__main__":
-    {"gather": gather, "check": check}[sys.argv[1]](*sys.argv[2:])
+    {"links": links, "gather": gather, "check": check}[sys.argv[1]](*sys.argv[2:])
