@@ -24,7 +24,7 @@ fn decide(bencher: Bencher<'_, '_>, (name, grid_s): (&str, f64)) {
 
 /// The same where not the largest gap is wanted but the gentlest escape.
 #[divan::bench(sample_count = 10)]
-fn decide_gently(bencher: Bencher<'_, '_>) {
+fn decide_gentlest(bencher: Bencher<'_, '_>) {
     let scenario = built_in("paper-1").expect("built in");
     let options = AvoidOptions { escape: EscapeKind::Gentlest, ..AvoidOptions::default() };
     bencher.bench_local(|| avoid(&scenario, options).expect("the grid fits"));
@@ -67,7 +67,7 @@ fn check_proof(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| crumple_verify::check(&proof).expect("accepted"));
 }
 
-fn hopeless() -> crumple_world::scenario::Scenario {
+fn unavoidable_scenario() -> crumple_world::scenario::Scenario {
     let paper_1 = built_in("paper-1").expect("built in");
     let closer = paper_1.edited(|spec| {
         spec.vehicles[2].position_m += 12.0;

@@ -25,7 +25,7 @@ const CASES: [(&str, usize); 3] =
     [("\"python3\", \"follower.py\", \"alone\"", 1), ("\"./follower\"", 1), ("\"python3\", \"follower.py\"", 64)];
 
 /// A controller file that lets a command see what the examples need.
-fn controller(command: &str, folder: &Path) -> Option<NamedController> {
+fn write_controller(command: &str, folder: &Path) -> Option<NamedController> {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers");
     fs::copy(examples.join("follower.py"), folder.join("follower.py")).expect("the example");
     let mut compiler = Command::new("cc");
@@ -42,7 +42,7 @@ fn controller(command: &str, folder: &Path) -> Option<NamedController> {
     Some(NamedController::find_for_user("controller.toml", folder).expect("a controller file"))
 }
 
-fn scenario() -> Scenario {
+fn long_scenario() -> Scenario {
     built_in("paper-1").expect("built in").edited(|spec| spec.duration_s = 60.0).expect("valid")
 }
 

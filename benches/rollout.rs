@@ -35,7 +35,7 @@ fn runs((controller, estimator): (&str, EstimatorKind), scenarios: &[Scenario]) 
     rollouts::runs(scenarios, rollouts::built_in(controller), estimator)
 }
 
-fn threads(count: usize) -> ThreadPool {
+fn thread_pool(count: usize) -> ThreadPool {
     rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads")
 }
 

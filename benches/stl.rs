@@ -11,7 +11,7 @@ fn main() {
 }
 
 /// Inputs that make every car switch many times.
-fn inputs() -> Inputs {
+fn switching_inputs() -> Inputs {
     Inputs {
         throttle: std::array::from_fn(|piece| [1.0, 0.2, 0.7][piece % 3]),
         brake: std::array::from_fn(|piece| if piece % 4 < PIECES / 10 { 0.1 } else { 0.9 }),

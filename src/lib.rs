@@ -58,14 +58,14 @@ pub use crumple_core::observer::{Listener, Observer, Progress, Quiet, Stopped};
 pub use crumple_evidence::{
     CountProgress, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan, Tally,
 };
-pub use crumple_learn::rl::{Event, HeldOut, Trainer, TrainingConfig, TrainingError, train};
+pub use crumple_learn::rl::{Event, EvaluationSet, Trainer, TrainingConfig, TrainingError, train};
 pub use crumple_report::assessment::{
     AssessConfig, AssessError, Assessment, AssessmentPlan, ConfigError, Earlier, Store, assess,
 };
 pub use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignError, CampaignOptions, CampaignProgress, Log, Summary,
+    Aim, Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, Summary,
 };
-pub use crumple_search::falsify::{Contrast, Cube, CustomMethod, InvalidMethodName, Method, Search};
+pub use crumple_search::falsify::{FailureCriterion, UnitCube, CustomMethod, InvalidMethodName, Method, Search};
 pub use crumple_search::worst_case::{
     Aim as AttackAim, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
     Envelope, attack, avoid,

@@ -2,7 +2,7 @@
 
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, Look};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignReader};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
@@ -16,7 +16,7 @@ use crate::work::rollouts::{built_in, runs};
 /// Evaluations of each of the two methods that run.
 const BUDGET: u64 = 500_000;
 /// Evaluations that are simulated again, all of them drawn alike.
-const AGAIN: usize = 50_000;
+const RESIMULATED: usize = 50_000;
 /// Evaluations that are simulated at once, as campaigns do.
 const BLOCK: usize = 256;
 
@@ -38,19 +38,19 @@ pub fn end_to_end(say: &mut dyn FnMut(Figure)) {
         let start_s = wall_s();
         campaign.run(&at, CampaignOptions::default(), &Quiet).expect("runs");
         let each_s = (wall_s() - start_s) / (2 * BUDGET) as f64;
-        let mut look = Look::at(&at).expect("is there");
+        let mut look = CampaignReader::at(&at).expect("is there");
         while look.evaluations().len() < AGAIN && look.go_on(AGAIN).expect("is whole") {}
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
         let scenarios: Vec<Scenario> =
             look.evaluations()[..AGAIN].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();
-        let simulated_s: f64 = scenarios.chunks(BLOCK).map(|block| alone_s(block, controller)).sum();
+        let simulated_s: f64 = scenarios.chunks(BLOCK).map(|block| simulation_time_s(block, controller)).sum();
         let name =
             format!("{} scenarios of `{space}` under {controller} end to end, share of their simulation", 2 * BUDGET);
         say(Figure::at_least(70.0, "%", name, 100.0 * simulated_s / AGAIN as f64 / each_s));
     }
 }
 
-fn alone_s(scenarios: &[Scenario], controller: &str) -> f64 {
+fn simulation_time_s(scenarios: &[Scenario], controller: &str) -> f64 {
     let runs = runs(scenarios, built_in(controller), EstimatorKind::Truth);
     let start_s = wall_s();
     std::hint::black_box(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 /// Processor time of this thread, in seconds; wall-clock time where there is no such clock.
-pub fn now_s() -> f64 {
+pub fn cpu_time_s() -> f64 {
     #[cfg(unix)]
     {
         let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
@@ -14,28 +14,28 @@ pub fn now_s() -> f64 {
 }
 
 /// Wall-clock time since the first call, in seconds.
-pub fn wall_s() -> f64 {
+pub fn wall_time_s() -> f64 {
     static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
     START.get_or_init(Instant::now).elapsed().as_secs_f64()
 }
 
-fn spent(clock: fn() -> f64, work: &mut dyn FnMut()) -> f64 {
+fn measure_s(clock: fn() -> f64, work: &mut dyn FnMut()) -> f64 {
     let start = clock();
     work();
     clock() - start
 }
 
 /// Shortest processor time of each piece of work, in seconds. They take turns, so that what slows one slows the others.
-pub fn least_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
-    least_by(now_s, rounds, work)
+pub fn min_cpu_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
+    min_time_by(now_s, rounds, work)
 }
 
 /// The same by the wall clock: for what runs on several threads.
-pub fn least_wall_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
-    least_by(wall_s, rounds, work)
+pub fn min_wall_time_s<const N: usize>(rounds: usize, work: [&mut dyn FnMut(); N]) -> [f64; N] {
+    min_time_by(wall_s, rounds, work)
 }
 
-fn least_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mut dyn FnMut(); N]) -> [f64; N] {
+fn min_time_by<const N: usize>(clock: fn() -> f64, rounds: usize, mut work: [&mut dyn FnMut(); N]) -> [f64; N] {
     work.iter_mut().for_each(|work| work());
     let mut least = [f64::INFINITY; N];
     for _ in 0..rounds {

@@ -3,20 +3,20 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use crumple_learn::rl::{HeldOut, Learner, Trainer, TrainingConfig};
+use crumple_learn::rl::{EvaluationSet, Learner, Trainer, TrainingConfig};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::{least_s, least_wall_s, now_s};
-use crate::limits::register_peak;
+use crate::limits::register_operations_per_second;
 use crate::table::Figure;
 use crate::work::networks::{self, acting, batch, config, large, learner, operations, policy, products, td3};
 use crate::work::rollouts::{runs, scenarios, steps};
 
-pub fn figures(say: &mut dyn FnMut(Figure)) {
-    let registers = register_peak();
-    beside_the_peak(registers, say);
+pub fn measure(say: &mut dyn FnMut(Figure)) {
+    let registers = register_operations_per_second();
+    compare_with_peak(registers, say);
     let [td3_s] = least_s(60, [&mut updates(&td3(64, 128), 128, 1)]);
     say(Figure::at_most(0.38, "ms", "TD3 step, 3 x 64, batch 128, two critics", 1e3 * td3_s));
     let peak_share = 100.0 * operations(&products(64, 128, 2)) as f64 / td3_s / registers;
@@ -29,7 +29,7 @@ pub fn figures(say: &mut dyn FnMut(Figure)) {
 }
 
 /// Some updates of a learner on one batch.
-fn updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() + use<> {
+fn batch_updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() + use<> {
     let mut learner: Learner = learner(config);
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
     move || {
@@ -39,9 +39,9 @@ fn updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnMut() +
     }
 }
 
-/// Measures rollouts and updates as shares of a large product of the same run, and of `registers`, the result of [`register_peak`].
+/// Measures rollouts and updates as shares of a large product of the same run, and of `registers`, the result of [`register_operations_per_second`].
 /// `cargo bench -p crumple-oracle` compares the large product with the one of candle.
-fn beside_the_peak(registers: f64, say: &mut dyn FnMut(Figure)) {
+fn compare_with_peak(registers: f64, say: &mut dyn FnMut(Figure)) {
     let (mut large, states, large_operations) = large();
     let scenarios = scenarios(64);
     let runs = runs(&scenarios, Arc::new(policy(256)), EstimatorKind::Truth);
@@ -73,9 +73,9 @@ fn beside_the_peak(registers: f64, say: &mut dyn FnMut(Figure)) {
 }
 
 /// Median over seeds of the processor time until an evaluation finds every held-out scenario safe, in seconds.
-pub fn first_safe(seeds: u64, say: &mut dyn FnMut(Figure)) {
+pub fn time_to_first_safe(seeds: u64, say: &mut dyn FnMut(Figure)) {
     let config = TrainingConfig::preset("fast").expect("a preset");
-    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let mut times_s: Vec<f64> = (0..seeds).map(|seed| time_to_safe_s(&config, &held_out, seed)).collect();
     times_s.sort_by(f64::total_cmp);
     let middle = times_s.len() / 2;
@@ -84,11 +84,11 @@ pub fn first_safe(seeds: u64, say: &mut dyn FnMut(Figure)) {
     say(Figure::at_most(10.0, "s", name, median_s));
 }
 
-fn time_to_safe_s(config: &TrainingConfig, held_out: &HeldOut, seed: u64) -> f64 {
+fn time_to_safe_s(config: &TrainingConfig, held_out: &EvaluationSet, seed: u64) -> f64 {
     let start_s = now_s();
     let mut trainer = Trainer::new(config, seed);
     let is_safe = |trainer: &mut Trainer| trainer.evaluate(held_out).expect("fits").is_mastered(0.0);
-    while !(trainer.evaluation_is_due() && is_safe(&mut trainer)) {
+    while !(trainer.is_evaluation_due() && is_safe(&mut trainer)) {
         if trainer.is_done() {
             return f64::INFINITY;
         }

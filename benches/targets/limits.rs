@@ -12,7 +12,7 @@ use crate::table::{Limit, digits};
 ///
 /// Twelve sums: each waits some four cycles for its last term while two multiply-adds are begun a cycle, so eight is the least that keeps
 /// the units busy, and twelve fit in sixteen registers with their factors.
-pub fn register_peak() -> f64 {
+pub fn register_operations_per_second() -> f64 {
     const ROUNDS: usize = 20_000;
     const SUMS: usize = 12;
     struct Peak;
@@ -38,7 +38,7 @@ pub fn register_peak() -> f64 {
 }
 
 /// Normal numbers a second from one stream.
-pub fn normals() -> f64 {
+pub fn normals_per_second() -> f64 {
     const COUNT: usize = 100_000;
     let (normals, mut stream) = (Normals::new(), stream(1, Purpose::ReplayDraw, 0));
     let [seconds] = least_s(40, [&mut || _ = black_box((0..COUNT).map(|_| normals.next(&mut stream)).sum::<f64>())]);
@@ -46,7 +46,7 @@ pub fn normals() -> f64 {
 }
 
 /// Bytes read a second from an array of `bytes`, by eight sums that do not wait for one another.
-fn bandwidth(bytes: usize) -> f64 {
+fn bytes_per_second(bytes: usize) -> f64 {
     /// An array, and how often it is read.
     struct Sum<'a>(&'a [f32], usize);
     impl WithSimd for Sum<'_> {
@@ -77,7 +77,7 @@ fn bandwidth(bytes: usize) -> f64 {
 }
 
 /// The processor's model, as the system tells it, which only Linux does.
-pub fn processor() -> String {
+pub fn processor_model() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let of = |field: &str| {
         let line = text.lines().find(|line| line.split(':').next().is_some_and(|name| name.trim() == field));
@@ -88,9 +88,9 @@ pub fn processor() -> String {
     format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
 }
 
-pub fn limits(say: &mut dyn FnMut(Limit)) {
+pub fn measure(say: &mut dyn FnMut(Limit)) {
     let mut limit = |name: &str, value: f64, unit| say(Limit { name: name.to_owned(), value: digits(value), unit });
-    limit("fused multiply-adds in registers, single precision", register_peak() / 1e9, "billion operations a second");
+    limit("fused multiply-adds in registers, single precision", register_operations_per_second() / 1e9, "billion operations a second");
     limit("normal numbers from one stream", 1e9 / normals(), "ns each");
     for (name, bytes) in [
         ("read from the first-level cache (16 KiB)", 1 << 14),

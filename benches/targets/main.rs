@@ -42,8 +42,8 @@ fn main() {
     // Everything on a single thread of a pool, so that what is parallel stays on it and its processor time can be read.
     let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     alone.install(|| match words[..] {
-        [] => with_limits(&PARTS[..PARTS.len() - 1]),
-        ["all"] => with_limits(&PARTS),
+        [] => print_limits_and_table(&PARTS[..PARTS.len() - 1]),
+        ["all"] => print_limits_and_table(&PARTS),
         ["limits"] => limits(),
         ["scaling", file] => scaling(file),
         ["compare"] => compare(),
@@ -54,42 +54,42 @@ fn main() {
     });
 }
 
-type Part = (&'static str, fn(&mut dyn FnMut(table::Figure)));
+type BenchmarkGroup = (&'static str, fn(&mut dyn FnMut(table::Figure)));
 
 /// The parts of the table; the last one takes minutes.
-const PARTS: [Part; 6] = [
+const PARTS: [BenchmarkGroup; 6] = [
     ("learning", learning::figures),
     ("rollouts", rollouts::figures),
     ("monitors", monitors::figures),
     ("proofs", proofs::figures),
     ("programs", programs::figures),
     ("long", |say| {
-        learning::first_safe(10, say);
+        learning::time_to_first_safe(10, say);
         programs::assessment(say);
         programs::campaign_memory(say);
         campaigns::end_to_end(say);
     }),
 ];
 
-fn limits() {
+fn print_limits() {
     println!("{}\n\n{}", limits::processor(), table::LIMITS_HEADER);
     limits::limits(&mut |limit| println!("{}", limit.line()));
     println!();
 }
 
-fn with_limits(parts: &[Part]) {
+fn print_limits_and_table(parts: &[BenchmarkGroup]) {
     limits();
     table(parts);
 }
 
-fn table(parts: &[Part]) {
+fn print_table(parts: &[BenchmarkGroup]) {
     println!("{}", table::HEADER);
     for (_, figures) in parts {
         figures(&mut |figure| println!("{}", figure.line()));
     }
 }
 
-fn scaling(file: &str) {
+fn print_scaling(file: &str) {
     let all = scaling::measure();
     for growth in &all {
         let points: Vec<String> =
@@ -99,7 +99,7 @@ fn scaling(file: &str) {
     std::fs::write(file, scaling::figure(&all).document()).expect("can be written");
 }
 
-fn compare() {
+fn print_comparison() {
     println!("scenarios_per_s {}", rollouts::scenarios_per_second());
     println!("decisions_per_s_64 {}", learning::decisions_per_second(64, 128));
     println!("decisions_per_s_256 {}", learning::decisions_per_second(256, 512));

@@ -9,14 +9,14 @@ use crate::clock::least_s;
 use crate::table::Figure;
 
 /// Inputs that make every car switch many times.
-fn inputs() -> Inputs {
+fn switching_inputs() -> Inputs {
     Inputs {
         throttle: std::array::from_fn(|piece| [1.0, 0.2, 0.7][piece % 3]),
         brake: std::array::from_fn(|piece| if piece % 4 < PIECES / 10 { 0.1 } else { 0.9 }),
     }
 }
 
-pub fn figures(say: &mut dyn FnMut(Figure)) {
+pub fn measure(say: &mut dyn FnMut(Figure)) {
     let motion = simulate(&inputs());
     let signals = motion.signals().expect("signals");
     for (name, text) in SPECIFICATIONS {

@@ -13,7 +13,7 @@ use crate::clock::{least_s, now_s};
 use crate::table::Figure;
 use crate::work::networks::widened_reference;
 
-pub fn figures(say: &mut dyn FnMut(Figure)) {
+pub fn measure(say: &mut dyn FnMut(Figure)) {
     let scenario = crumple_world::scenario::built_in("paper-1").expect("built in");
     for (grid_s, target_s) in [(0.1, 0.05), (0.01, 1.0)] {
         let options = AvoidOptions { grid_s: Some(grid_s), ..AvoidOptions::default() };

@@ -11,7 +11,7 @@ use crate::work::rollouts::{built_in, runs, scenarios, vehicle_steps};
 
 const RUNS: u64 = 256;
 
-pub fn figures(say: &mut dyn FnMut(Figure)) {
+pub fn measure(say: &mut dyn FnMut(Figure)) {
     let scenarios = scenarios(RUNS);
     let truth = runs(&scenarios, built_in("baseline"), EstimatorKind::Truth);
     let kalman = runs(&scenarios, built_in("baseline"), EstimatorKind::Kalman);

@@ -2,9 +2,9 @@
 
 use std::hint::black_box;
 
-use crumple_report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg};
+use crumple_report::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg};
 use crumple_search::falsify::chasing_cars::{Inputs, PIECES, SPECIFICATIONS, robustness};
-use crumple_search::falsify::{Cube, Method};
+use crumple_search::falsify::{UnitCube, Method};
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
@@ -17,7 +17,7 @@ use crate::work::rollouts::{built_in, runs};
 
 /// Times at some sizes.
 pub struct Growth {
-    pub what: &'static str,
+    pub name: &'static str,
     /// Size, and seconds.
     pub points: Vec<(f64, f64)>,
 }
@@ -84,7 +84,7 @@ fn update(count: usize) -> Box<dyn FnMut()> {
 /// A search that never succeeds, so that it spends its budget.
 fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
     let formula: Formula = SPECIFICATIONS[3].1.parse().expect("a formula");
-    let cube = Cube::new([PIECES, PIECES]).expect("not empty");
+    let cube = UnitCube::new([PIECES, PIECES]).expect("not empty");
     Box::new(move || {
         let mut search = method.start(&cube, 1);
         let mut made = 0;
@@ -103,7 +103,7 @@ pub fn figure(all: &[Growth]) -> Svg {
     const WIDTH: f64 = 640.0;
     const HEIGHT: f64 = 360.0;
     let octaves = |last: i32| (0..=last).map(|k| (f64::from(k), format!("{}", 1 << k))).collect::<Vec<_>>();
-    let frame = Frame { left: LEFT, top: HEADING, width: WIDTH - LEFT - 16.0, height: HEIGHT };
+    let frame = Frame { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 16.0, height: HEIGHT };
     let x = Axis::marked("size, as a multiple of the smallest", (0.0, 5.2), octaves(5));
     let y = Axis::marked("", (-0.2, 7.2), octaves(7));
     let title = "Time as a multiple of that of the smallest size";
@@ -120,5 +120,5 @@ pub fn figure(all: &[Growth]) -> Svg {
     }
     let content = panel.draw(&Svg::id("scaling", "frame"));
     let description = "Six quantities that decide the cost of a rollout, an update and a search, over a factor of 32.";
-    Svg::new("scaling", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+    Svg::new("scaling", (WIDTH, HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN), title, description, content)
 }

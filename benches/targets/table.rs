@@ -2,35 +2,35 @@
 
 /// On which side of the target a figure should be.
 #[derive(Clone, Copy)]
-pub enum Side {
+pub enum TargetBound {
     AtMost,
     AtLeast,
 }
 
-pub struct Figure {
+pub struct Measurement {
     pub name: String,
-    pub side: Side,
+    pub side: TargetBound,
     pub target: f64,
     pub unit: &'static str,
     pub measured: f64,
 }
 
-impl Figure {
+impl Measurement {
     pub fn at_most(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
-        Self { name: name.into(), side: Side::AtMost, target, unit, measured }
+        Self { name: name.into(), side: TargetBound::AtMost, target, unit, measured }
     }
 
     pub fn at_least(target: f64, unit: &'static str, name: impl Into<String>, measured: f64) -> Self {
-        Self { name: name.into(), side: Side::AtLeast, target, unit, measured }
+        Self { name: name.into(), side: TargetBound::AtLeast, target, unit, measured }
     }
 
     /// The line of a Markdown table.
-    pub fn line(&self) -> String {
+    pub fn markdown_row(&self) -> String {
         let Self { name, side, target, unit, measured } = self;
         let ratio = measured / target;
         let (sign, met) = match side {
-            Side::AtMost => ("at most", ratio <= 1.0),
-            Side::AtLeast => ("at least", ratio >= 1.0),
+            TargetBound::AtMost => ("at most", ratio <= 1.0),
+            TargetBound::AtLeast => ("at least", ratio >= 1.0),
         };
         let met = if met { "met" } else { "not met" };
         format!("| {name} | {sign} {target} {unit} | {} {unit} | {ratio:.2} | {met} |", digits(*measured))
@@ -40,15 +40,15 @@ impl Figure {
 pub const HEADER: &str = "| figure | target | measured | ratio | |\n|---|---|---|---|---|";
 
 /// What the machine can do, without a target.
-pub struct Limit {
+pub struct MachineLimit {
     pub name: String,
     pub value: String,
     pub unit: &'static str,
 }
 
-impl Limit {
+impl MachineLimit {
     /// The line of a Markdown table.
-    pub fn line(&self) -> String {
+    pub fn markdown_row(&self) -> String {
         format!("| {} | {} {} |", self.name, self.value, self.unit)
     }
 }
@@ -56,7 +56,7 @@ impl Limit {
 pub const LIMITS_HEADER: &str = "| limit of this machine | measured |\n|---|---|";
 
 /// Three digits.
-pub fn digits(value: f64) -> String {
+pub fn format_three_digits(value: f64) -> String {
     let before = value.abs().max(1e-9).log10().floor() as i32;
     format!("{value:.*}", (2 - before).clamp(0, 6) as usize)
 }

@@ -3,7 +3,7 @@
 use crumple_world::scenario::{Driver, Scenario, built_in};
 
 /// The paper's first scenario with more vehicles under test, all of them at its distance, and a duration of its own.
-pub fn line(vehicles: usize, duration_s: f64) -> Scenario {
+pub fn platoon(vehicles: usize, duration_s: f64) -> Scenario {
     let paper_1 = built_in("paper-1").expect("built in");
     let line = paper_1.edited(|spec| {
         let ego = spec.vehicles[1].clone();

@@ -2,13 +2,13 @@
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
-use crumple_world::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple_world::policy::{ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::PAPER_STEP_S;
 use rand::RngExt;
 
 /// Side of the product that shows what the machine can do.
-pub const LARGE: usize = 1024;
+pub const LARGE_PRODUCT_SIZE: usize = 1024;
 
 pub fn config(width: usize, batch: usize) -> TrainingConfig {
     let mut config = TrainingConfig::preset("paper-net").expect("a preset");
@@ -32,7 +32,7 @@ pub fn batch(count: usize) -> Batch {
     let mut stream = stream(1, Purpose::ReplayDraw, 0);
     let mut batch = Batch::default();
     for _ in 0..count {
-        let mut seen = || -> [f32; STATE] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
+        let mut seen = || -> [f32; STATE_LEN] { std::array::from_fn(|_| stream.random_range(-1.0..1.0)) };
         let (state, next_state) = (seen(), seen());
         let (action, reward) = (stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0));
         batch.push(&Transition {
@@ -57,7 +57,7 @@ pub fn products(width: usize, count: usize, critics: usize) -> Vec<[usize; 3]> {
     let forward = |inputs: usize| vec![[count, inputs, width], [count, width, width], [count, width, width]];
     let hidden_inputs = vec![[count, width, width]; 2];
     let weights = |inputs: usize| vec![[inputs, count, width], [width, count, width], [width, count, width]];
-    let (actor, critic) = (STATE, STATE + 1);
+    let (actor, critic) = (STATE_LEN, STATE_LEN + 1);
     let mut all = [forward(actor), forward(actor), forward(critic), hidden_inputs.clone()].concat();
     all.extend([hidden_inputs.clone(), weights(actor)].concat());
     for _ in 0..critics {
@@ -72,21 +72,21 @@ pub fn operations(products: &[[usize; 3]]) -> usize {
 }
 
 /// The same in an actor's answer to one state.
-pub fn acting(width: usize) -> usize {
-    2 * (STATE * width + 2 * width * width)
+pub fn acting_operations(width: usize) -> usize {
+    2 * (STATE_LEN * width + 2 * width * width)
 }
 
 /// A learner whose actor, asked about [`LARGE`] states, makes one large product and little else; and those states.
-pub fn large() -> (Learner, Vec<f32>, usize) {
+pub fn large_product() -> (Learner, Vec<f32>, usize) {
     let mut config = config(LARGE, LARGE);
     config.network.hidden = vec![LARGE; 2];
-    (learner(&config), vec![0.5; LARGE * STATE], operations(&[[LARGE, STATE, LARGE], [LARGE; 3]]))
+    (learner(&config), vec![0.5; LARGE * STATE_LEN], operations(&[[LARGE, STATE_LEN, LARGE], [LARGE; 3]]))
 }
 
 /// A policy of a width with small random weights.
-pub fn policy(width: usize) -> Policy {
+pub fn random_policy(width: usize) -> Policy {
     let hidden = vec![width; 3];
-    let mut network = Network::zeros(&[&[STATE], hidden.as_slice(), &[1]].concat());
+    let mut network = Network::zeros(&[&[STATE_LEN], hidden.as_slice(), &[1]].concat());
     let mut stream = stream(1, Purpose::FirstWeights, 0);
     network.parameters_mut().iter_mut().for_each(|parameter| *parameter = stream.random_range(-0.1..0.1));
     let header = PolicyHeader {
@@ -112,7 +112,7 @@ pub fn widened_reference(interval_s: f64) -> Policy {
     let mut header = reference.header().clone();
     header.decision_interval_s = interval_s;
     header.hidden.iter_mut().for_each(|width| *width *= COPIES);
-    let sizes = [&[STATE], header.hidden.as_slice(), &[1]].concat();
+    let sizes = [&[STATE_LEN], header.hidden.as_slice(), &[1]].concat();
     let mut wide = Network::zeros(&sizes);
     let (mut from, mut to) = (0, 0);
     for (layer, pair) in narrow.sizes().windows(2).enumerate() {
@@ -134,7 +134,7 @@ pub fn widened_reference(interval_s: f64) -> Policy {
     Policy::new(header, wide).expect("valid")
 }
 
-pub fn seen(count: usize) -> Vec<Observation> {
+pub fn observations(count: usize) -> Vec<Observation> {
     let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: -1.0 });
     (0..count)
         .map(|index| Observation {

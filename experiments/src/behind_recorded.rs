@@ -24,35 +24,35 @@ use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trac
 
 const STEP_S: f64 = 0.01;
 const PIECE_S: f64 = 30.0;
-const SHORTEST_S: f64 = 10.0;
+const MIN_PIECE_S: f64 = 10.0;
 /// A longer hole between two samples breaks a motion.
-const LONGEST_HOLE_S: f64 = 0.5;
+const MAX_SAMPLE_GAP_S: f64 = 0.5;
 
 #[derive(Default)]
-struct Sums {
+struct ReplayTotals {
     runs: u64,
-    into_the_leader: u64,
-    from_behind: u64,
-    driven_m: f64,
-    led_m: f64,
+    leader_contacts: u64,
+    rear_contacts: u64,
+    ego_distance_m: f64,
+    leader_distance_m: f64,
     false_brakes: u64,
     driven_s: f64,
-    imposed_mps2: Vec<f64>,
+    induced_braking_mps2: Vec<f64>,
     squares: [f64; 2],
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
-    measured(&Asked::by(arguments.iter().cloned())?)
+    measured(&ReplayArgs::by(arguments.iter().cloned())?)
 }
 
 /// What the arguments ask for.
-struct Asked {
+struct ReplayArgs {
     scenarios: Vec<Scenario>,
     controllers: Vec<NamedController>,
 }
 
-impl Asked {
-    fn by(arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
+impl ReplayArgs {
+    fn parse(arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
         let (recordings, names): (Vec<String>, Vec<String>) =
             arguments.partition(|argument| argument.ends_with(".csv"));
         if recordings.is_empty() {
@@ -80,7 +80,7 @@ impl Asked {
     }
 }
 
-fn measured(Asked { scenarios, controllers }: &Asked) -> Result<(), Failure> {
+fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), Failure> {
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
@@ -104,7 +104,7 @@ fn measured(Asked { scenarios, controllers }: &Asked) -> Result<(), Failure> {
 }
 
 /// Scenarios behind one recorded vehicle.
-fn behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
+fn scenarios_behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
     let speeds = platoon.vehicles()[leader].speed_mps();
     let follower = (leader + 1 < platoon.vehicles().len()).then_some(leader + 1);
     let known: Vec<usize> = (0..speeds.len()).filter(|&sample| speeds[sample].is_some()).collect();
@@ -113,7 +113,7 @@ fn behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
     for sample in known {
         match pieces.last_mut() {
             Some(piece)
-                if time_s[sample] - time_s[piece[piece.len() - 1]] <= LONGEST_HOLE_S
+                if time_s[sample] - time_s[piece[piece.len() - 1]] <= MAX_SAMPLE_GAP_S
                     && time_s[sample] - time_s[piece[0]] <= PIECE_S =>
             {
                 piece.push(sample);
@@ -125,11 +125,11 @@ fn behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
 }
 
 /// None for a piece that is too short, or whose start is none that a scenario may have.
-fn scenario(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
+fn scenario_from_piece(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
     let (&first, &last) = (piece.first()?, piece.last()?);
     let start_s = platoon.time_s()[first];
     let duration_s = platoon.time_s()[last] - start_s;
-    if duration_s < SHORTEST_S {
+    if duration_s < MIN_PIECE_S {
         return None;
     }
     let milli = |value: f64| (1000.0 * value).round() / 1000.0;
@@ -176,21 +176,21 @@ fn scenario(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[
     Scenario::new(spec).inspect_err(|error| eprintln!("left out: vehicle {leader}, sample {first}: {error}")).ok()
 }
 
-fn driven(scenarios: &[Scenario], controller: &NamedController) -> Result<Sums, Failure> {
+fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<ReplayTotals, Failure> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
         let trace = result.trace.as_ref();
         let useful = trace.and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
-        (result.outcome.contact().copied(), useful, trace.map(Ridden::of))
+        (result.outcome.contact().copied(), useful, trace.map(DriveSummary::of))
     });
-    let mut sums = Sums::default();
+    let mut sums = ReplayTotals::default();
     for (contact, useful, ridden) in results {
         sums.runs += 1;
         let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
         sums.into_the_leader += u64::from(into_the_leader);
         sums.from_behind += u64::from(contact.is_some() && !into_the_leader);
-        let Some(Ridden { driven_m, led_m, false_brakes, driven_s }) = ridden else { continue };
+        let Some(DriveSummary { driven_m, led_m, false_brakes, driven_s }) = ridden else { continue };
         sums.driven_m += driven_m;
         sums.led_m += led_m;
         sums.false_brakes += false_brakes;
@@ -204,17 +204,17 @@ fn driven(scenarios: &[Scenario], controller: &NamedController) -> Result<Sums, 
 }
 
 /// What a trace comes to.
-struct Ridden {
-    driven_m: f64,
-    led_m: f64,
+struct DriveSummary {
+    ego_distance_m: f64,
+    leader_distance_m: f64,
     false_brakes: u64,
     driven_s: f64,
 }
 
-impl Ridden {
+impl DriveSummary {
     /// A false brake is harder than 2 m/s² while the time to collision exceeds 4 s, the time gap 0.8 s, and the leader brakes with
     /// less than 1 m/s²; what goes on counts once.
-    fn of(trace: &Trace) -> Self {
+    fn new(trace: &Trace) -> Self {
         let (leader, ego) = (&trace.vehicles[0], &trace.vehicles[1]);
         let travelled = |positions: &[f64]| positions.last().unwrap_or(&0.0) - positions.first().unwrap_or(&0.0);
         let is_false = |sample: usize| {
@@ -250,14 +250,14 @@ mod tests {
     #[test]
     fn arguments_that_make_no_sense_are_named() {
         let refused = |arguments: &[&str]| {
-            Asked::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+            ReplayArgs::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
         };
         assert_eq!(refused(&[]), "which recordings?");
         assert_eq!(refused(&["idm"]), "which recordings?");
         assert_eq!(refused(&[PLATOON]), "which controllers?");
         assert!(refused(&["missing.csv", "idm"]).starts_with("missing.csv: "));
         assert!(refused(&[PLATOON, "hal"]).contains("`hal`"), "{}", refused(&[PLATOON, "hal"]));
-        let asked = Asked::by([PLATOON, "idm"].into_iter().map(str::to_owned)).unwrap();
+        let asked = ReplayArgs::by([PLATOON, "idm"].into_iter().map(str::to_owned)).unwrap();
         assert!(!asked.scenarios.is_empty() && asked.controllers.len() == 1);
     }
 }

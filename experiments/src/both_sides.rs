@@ -10,14 +10,14 @@
 //!
 //! Columns count draws: `hard` with braking harder than 4 m/s² where less than 3 m/s² had a cause, `needless` with braking by more than
 //! 2 m/s² beyond what had a cause, `beyond 2` with braking harder than 2 m/s² where no more than 2 m/s² had a cause
-//! (`NeedlessBraking::harder_than`), `harder` with braking harder than 2 m/s² whatever its cause, if only for a step. What has a cause is
-//! what the measure of braking without cause says (`measure::NeedlessBraking`), which counts what lasts 0.2 s.
+//! (`UnnecessaryBraking::from_trace_above_limit`), `harder` with braking harder than 2 m/s² whatever its cause, if only for a step. What has a cause is
+//! what the measure of braking without cause says (`measure::UnnecessaryBraking`), which counts what lasts 0.2 s.
 
 use std::path::Path;
 
 use crate::Failure;
-use crumple::report::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Svg};
-use crumple::world::measure::{NeedlessBraking, Usefulness};
+use crumple::report::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Svg};
+use crumple::world::measure::{UnnecessaryBraking, Usefulness};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -26,36 +26,36 @@ const SEED: u64 = 0x626f_7468;
 /// Draws that are simulated at once: each keeps its motion.
 const BLOCK: u64 = 100;
 /// Most draws of each space: a day's work.
-const MOST_DRAWS: u64 = 1_000_000;
+const MAX_DRAWS: u64 = 1_000_000;
 /// Braking harder than this has to have a cause behind a leader that never brakes, in m/s².
 const FIRM_BRAKE_MPS2: f64 = 2.0;
 
 #[derive(Default)]
-struct Sums {
+struct SpaceTotals {
     contacts: u64,
-    into_the_leader: u64,
+    leader_contacts: u64,
     hard: u64,
-    needless: u64,
+    unnecessary: u64,
     beyond_firm: u64,
     firm: u64,
     left_behind: u64,
     squares: [f64; 2],
     progress: Vec<f64>,
     time_gap_s: Vec<f64>,
-    imposed_mps2: Vec<f64>,
+    induced_braking_mps2: Vec<f64>,
 }
 
 /// Contacts in the one space against jerk in the other make the front.
-const EMERGENCIES: &str = "high-risk";
-const TRAFFIC: &str = "traffic";
+const EMERGENCY_SPACE: &str = "high-risk";
+const TRAFFIC_SPACE: &str = "traffic";
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
-    measured(&Asked::by(arguments.iter().cloned())?)
+    measured(&SpaceComparisonArgs::by(arguments.iter().cloned())?)
 }
 
 /// A mark of the figure, and a line of a table of them.
 #[derive(Clone, serde::Deserialize)]
-struct Mark {
+struct ParetoPoint {
     name: String,
     /// Rms of jerk in `traffic`.
     jerk_mps3: f64,
@@ -66,27 +66,27 @@ struct Mark {
     is_trained: bool,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
-impl Mark {
-    fn at(&self) -> (f64, f64) {
+impl ParetoPoint {
+    fn position(&self) -> (f64, f64) {
         (self.jerk_mps3, self.contacts_percent)
     }
 }
 
 /// What the arguments ask for.
-struct Asked {
+struct SpaceComparisonArgs {
     draws: u64,
     controllers: Vec<NamedController>,
     figures: Vec<String>,
-    measured_before: Vec<Mark>,
+    measured_before: Vec<ParetoPoint>,
     spaces: Vec<&'static str>,
 }
 
-impl Asked {
-    fn by(mut arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
+impl SpaceComparisonArgs {
+    fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
         let draws = arguments.next().ok_or("how many draws?")?;
         let draws = match draws.parse() {
             Ok(count) if (1..=MOST_DRAWS).contains(&count) => count,
@@ -103,7 +103,7 @@ impl Asked {
             } else if argument.ends_with(".csv") {
                 let unreadable = |error: csv::Error| format!("{argument}: {error}");
                 let mut table = csv::Reader::from_path(&argument).map_err(unreadable)?;
-                let lines = table.deserialize().collect::<Result<Vec<Mark>, _>>().map_err(unreadable)?;
+                let lines = table.deserialize().collect::<Result<Vec<ParetoPoint>, _>>().map_err(unreadable)?;
                 measured_before.extend(lines);
             } else {
                 controllers.push(NamedController::find_and_try(&argument, Path::new(""))?);
@@ -116,7 +116,7 @@ impl Asked {
             spaces.extend(BUILT_IN_SPACES.iter().map(|(name, ..)| *name));
         }
         if let Some(missing) =
-            [EMERGENCIES, TRAFFIC].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
+            [EMERGENCY_SPACE, TRAFFIC].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
@@ -124,18 +124,18 @@ impl Asked {
     }
 }
 
-fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Asked) -> Result<(), Failure> {
+fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs) -> Result<(), Failure> {
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
-    let mark_of = |NamedController { name, .. }: &NamedController| Mark {
+    let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
         name: Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy()).into_owned(),
         jerk_mps3: 0.0,
         contacts_percent: 0.0,
         is_trained: name.ends_with(".safetensors"),
     };
-    let mut front: Vec<Mark> = controllers.iter().map(mark_of).collect();
+    let mut front: Vec<ParetoPoint> = controllers.iter().map(mark_of).collect();
     for &space in spaces {
         for (controller, mark) in controllers.iter().zip(&mut front) {
             let (name, draws) = (&controller.name, *draws);
@@ -158,7 +158,7 @@ fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Ask
                 mean(&sums.imposed_mps2),
             );
             match space {
-                EMERGENCIES => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
+                EMERGENCY_SPACE => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
                 TRAFFIC => mark.jerk_mps3 = rms_jerk_mps3,
                 _ => {}
             }
@@ -172,8 +172,8 @@ fn measured(Asked { draws, controllers, figures, measured_before, spaces }: &Ask
 }
 
 /// Safety against comfort: the better, the nearer to the lower left corner.
-fn drawn(front: &[Mark], draws: u64) -> Svg {
-    let frame = Frame { left: LEFT + 24.0, top: HEADING, width: 640.0, height: 360.0 };
+fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
+    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
     let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
     let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
@@ -193,29 +193,29 @@ fn drawn(front: &[Mark], draws: u64) -> Svg {
     }
     let content = panel.draw(&Svg::id("front", "frame"));
     let description = format!("{draws} draws of each space. Rings are policies of the preset road and its variants.");
-    Svg::new("front", (LEFT + 24.0 + 640.0 + 24.0, HEADING + 360.0 + BELOW), title, &description, content)
+    Svg::new("front", (LEFT_MARGIN + 24.0 + 640.0 + 24.0, HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN), title, &description, content)
 }
 
 /// Braking harder than [`FIRM_BRAKE_MPS2`] in a run.
-struct Firm {
+struct FirmBraking {
     /// Where no more than that had a cause.
-    is_beyond: bool,
+    is_unnecessary: bool,
     /// Whatever its cause.
-    is_there: bool,
+    is_present: bool,
 }
 
-fn driven(space: &str, controller: &NamedController, draws: u64) -> Result<Sums, Failure> {
+fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Result<SpaceTotals, Failure> {
     let space = built_in_space(space).ok_or("no such space")?;
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
-    let mut sums = Sums::default();
+    let mut sums = SpaceTotals::default();
     for from in (0..draws).step_by(BLOCK as usize) {
         let scenarios =
             (from..draws.min(from + BLOCK)).map(|index| space.draw(SEED, index)).collect::<Result<Vec<_>, _>>()?;
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
-            let firm = result.trace.as_ref().map(|trace| Firm {
-                is_beyond: NeedlessBraking::harder_than(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
+            let firm = result.trace.as_ref().map(|trace| FirmBraking {
+                is_beyond: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
                     .is_some_and(|beyond| !beyond.is_none()),
                 is_there: trace.vehicles[1].acceleration_mps2.iter().any(|&mps2| mps2 < -FIRM_BRAKE_MPS2),
             });
@@ -245,8 +245,8 @@ fn driven(space: &str, controller: &NamedController, draws: u64) -> Result<Sums,
 mod tests {
     use super::*;
 
-    fn refused(arguments: &[&str]) -> String {
-        Asked::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
+    fn parse_error(arguments: &[&str]) -> String {
+        SpaceComparisonArgs::by(arguments.iter().map(|argument| (*argument).to_owned())).err().expect("refused").to_string()
     }
 
     #[test]
@@ -261,7 +261,7 @@ mod tests {
         assert!(refused(&["10", "idm", "hal"]).contains("`hal`"), "{}", refused(&["10", "idm", "hal"]));
         assert!(refused(&["10", "idm", "none.csv"]).starts_with("none.csv: "));
         assert!(refused(&["10", "none.safetensors"]).contains("none.safetensors"));
-        let asked = Asked::by(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
+        let asked = SpaceComparisonArgs::by(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
         assert_eq!((asked.draws, asked.spaces), (10, vec!["steady"]));
     }
 }

@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 
 use crate::Failure;
 use crumple_report::figures::{StatedConvergence, learning_curve_beside};
-use crumple_world::policy::{LearningCurve, PERFECT};
+use crumple_world::policy::{LearningCurve, COLLISION_FREE_REWARD};
 
 /// A line of the table; what else it says is not drawn.
 #[derive(serde::Deserialize)]
-struct Evaluation {
+struct EvaluationRow {
     configuration: String,
     seed: u64,
     episode: u64,
@@ -23,7 +23,7 @@ struct Evaluation {
 }
 
 /// Section "DDPG training result".
-const PAPER: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: PERFECT, from_episode: 400 };
+const PAPER_CONVERGENCE: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     let [table, configuration, picture] = arguments else {
@@ -32,7 +32,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     let unreadable = |error: csv::Error| format!("{table}: {error}");
     let mut seeds = BTreeMap::<u64, BTreeMap<u64, f64>>::new();
     for evaluation in csv::Reader::from_path(table).map_err(unreadable)?.deserialize() {
-        let Evaluation { configuration: of, seed, episode, mean_reward } = evaluation.map_err(unreadable)?;
+        let EvaluationRow { configuration: of, seed, episode, mean_reward } = evaluation.map_err(unreadable)?;
         if of == *configuration {
             seeds.entry(seed).or_default().insert(episode, mean_reward);
         }

@@ -16,13 +16,13 @@ mod worst_case_comparison;
 use std::process::ExitCode;
 
 /// A reason why an experiment did not run.
-type Failure = Box<dyn std::error::Error + Send + Sync>;
+type ExperimentError = Box<dyn std::error::Error + Send + Sync>;
 
 /// An experiment that the command line names.
 struct Experiment {
     name: &'static str,
     arguments: &'static str,
-    run: fn(&[String]) -> Result<(), Failure>,
+    run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
 const EXPERIMENTS: [Experiment; 9] = [

@@ -34,7 +34,7 @@ const MEASURES: [(&str, bool); 3] =
     [("evaluations to the first failure", false), ("smallest robustness", false), ("kinds of failures", true)];
 
 /// What a method reached by one seed, in the order of [`MEASURES`].
-fn reached(summary: &Summary, method: &Method, budget: u64) -> Option<[f64; 3]> {
+fn method_measures(summary: &Summary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
     let of_method = summary.methods.iter().find(|one| one.method == name)?;
     let kinds = summary.failures.iter().filter(|kind| kind.by_method.iter().any(|by| by.method == name)).count();
@@ -44,7 +44,7 @@ fn reached(summary: &Summary, method: &Method, budget: u64) -> Option<[f64; 3]> 
 }
 
 /// The share of all ways to deal the values out to both sides that leave the first at least as far above the second.
-fn chance_of(above: &[f64], below: &[f64]) -> f64 {
+fn permutation_p_value(above: &[f64], below: &[f64]) -> f64 {
     let all = [above, below].concat();
     let total: f64 = all.iter().sum();
     let observed: f64 = above.iter().sum();
@@ -91,7 +91,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
                 found.iter().map(|of| of[measure].iter().map(|value| sign * value).collect()).collect();
             let best = signed[1..].iter().min_by(|a, b| mean(a).total_cmp(&mean(b))).ok_or("no other method")?;
             let behind = mean(&signed[0]) > mean(best);
-            let p = if behind { format!("{:.3}", chance_of(&signed[0], best)) } else { String::new() };
+            let p = if behind { format!("{:.3}", permutation_p_value(&signed[0], best)) } else { String::new() };
             let means: Vec<String> = found.iter().map(|of| format!("{:.1}", mean(&of[measure]))).collect();
             println!("| {space} | {controller} | {name} | {} | {p} |", means.join(" | "));
         }
@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn search(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Failure> {
+fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Failure> {
     let campaign = Campaign {
         method,
         budget,

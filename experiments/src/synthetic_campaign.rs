@@ -12,7 +12,7 @@ use std::path::Path;
 
 use crate::Failure;
 use crumple_core::digest::sha256;
-use crumple_evidence::{CountedBlock, RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crumple_evidence::{CountedBlock, RateConfig, RatePlan, COUNT_SHARD_KIND};
 use crumple_store::shard::Shard;
 use crumple_store::work::{Asked, Work};
 use crumple_world::control::ControllerSpec;
@@ -33,18 +33,18 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
 }
 
 /// A failure in every hundredth block.
-fn write(plan: &RatePlan, shard: Shard, folder: &Path) -> Result<(), Failure> {
+fn write_shard(plan: &RatePlan, shard: Shard, folder: &Path) -> Result<(), Failure> {
     let says = serde_json::json!({ "version": 1, "shard": shard, "count": plan.record() });
     let configuration = serde_json::to_string_pretty(&says)? + "\n";
     let asked = Asked {
-        kind: SHARD_OF_A_COUNT,
+        kind: COUNT_SHARD_KIND,
         configuration: &configuration,
         configuration_file: "shard.json",
         resume: false,
         outputs: &["shard.json", "progress.json"],
     };
     let mut tally = plan.tally();
-    for block in plan.blocks_of(shard)? {
+    for block in plan.shard_blocks(shard)? {
         let (runs, failures) = (plan.runs_of(block), u64::from(block % 100 == 0));
         tally.runs += runs.end - runs.start;
         tally.failures += failures;

@@ -4,7 +4,7 @@
 
 use crate::Failure;
 use crumple_core::observer::Quiet;
-use crumple_search::falsify::{Cube, Method};
+use crumple_search::falsify::{UnitCube, Method};
 use crumple_search::worst_case::{Aim, Envelope, attack};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -23,13 +23,13 @@ const BUDGET: usize = 3000;
 const KNOTS: usize = 26;
 
 pub(crate) fn run(_: &[String]) -> Result<(), Failure> {
-    against_samples();
-    against_searches();
+    compare_with_samples();
+    compare_with_searches();
     Ok(())
 }
 
 /// Part 1: the mildest profile against `baseline`, and the mildest of uniform samples.
-fn against_samples() {
+fn compare_with_samples() {
     println!(
         "| scenario | family | samples | collide | least ∫a² of samples | mildest ∫a² | how | simulations | programs |"
     );
@@ -63,7 +63,7 @@ fn against_samples() {
 
 /// Braking in one to six pieces with uniform borders and uniform decelerations up to the hardest (of one sample: `is_scaled`
 /// draws it uniformly too), followed as fast as the jerk allows.
-fn sample(scenario: &Scenario, envelope: Envelope, is_scaled: bool, random: &mut Xoshiro256PlusPlus) -> Vec<f64> {
+fn random_profile(scenario: &Scenario, envelope: Envelope, is_scaled: bool, random: &mut Xoshiro256PlusPlus) -> Vec<f64> {
     let duration_s = scenario.spec().duration_s;
     let pieces = random.random_range(1..=6);
     let mut borders_s: Vec<f64> = (1..pieces).map(|_| random.random_range(0.0..duration_s)).collect();
@@ -74,11 +74,11 @@ fn sample(scenario: &Scenario, envelope: Envelope, is_scaled: bool, random: &mut
         let piece = borders_s.partition_point(|border_s| *border_s <= cell as f64 * CELL_S);
         targets.get(piece).copied().unwrap_or(0.0)
     };
-    within_jerk((0..cells(scenario)).map(wanted), envelope)
+    limit_jerk((0..cells(scenario)).map(wanted), envelope)
 }
 
 /// Part 2: the sequential program against `policy`, and the mildest collision each search finds with as many simulations.
-fn against_searches() {
+fn compare_with_searches() {
     println!(
         "\n| scenario | seed | sequential ∫a² | simulations | auto | auto, told of the leader | cma-es | uniform | \
          auto, tenfold |"
@@ -93,9 +93,9 @@ fn against_searches() {
             let hunted =
                 attack(&scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
             let own = hunted.found.map_or(f64::INFINITY, |found| found.effort_m2ps3);
-            let plain = Cube::new([KNOTS]).expect("not empty");
+            let plain = UnitCube::new([KNOTS]).expect("not empty");
             let told = plain.clone().with_leader(0..KNOTS);
-            let least = |method: &Method, cube: &Cube, times: usize| {
+            let least = |method: &Method, cube: &UnitCube, times: usize| {
                 let budget = times * hunted.evaluations;
                 let least = mildest_of_search(method, cube, seed, &scenario, &options, envelope, budget);
                 if least.is_finite() { format!("{least:.3}") } else { "none".to_owned() }
@@ -119,7 +119,7 @@ fn against_searches() {
 /// negative the milder it is.
 fn mildest_of_search(
     method: &Method,
-    cube: &Cube,
+    cube: &UnitCube,
     seed: u64,
     scenario: &Scenario,
     options: &RunOptions,
@@ -147,7 +147,7 @@ fn mildest_of_search(
     least
 }
 
-fn profile(point: &[f64], scenario: &Scenario, envelope: Envelope) -> Vec<f64> {
+fn profile_from_point(point: &[f64], scenario: &Scenario, envelope: Envelope) -> Vec<f64> {
     let cells = cells(scenario);
     let knot = |index: usize| point.get(index.min(point.len() - 1)).copied().unwrap_or(0.0);
     let wanted = |cell: usize| {
@@ -155,10 +155,10 @@ fn profile(point: &[f64], scenario: &Scenario, envelope: Envelope) -> Vec<f64> {
         let (left, share) = (place.floor() as usize, place.fract());
         -envelope.max_brake_mps2 * (knot(left) * (1.0 - share) + knot(left + 1) * share)
     };
-    within_jerk((0..cells).map(wanted), envelope)
+    limit_jerk((0..cells).map(wanted), envelope)
 }
 
-fn within_jerk(wanted: impl Iterator<Item = f64>, envelope: Envelope) -> Vec<f64> {
+fn limit_jerk(wanted: impl Iterator<Item = f64>, envelope: Envelope) -> Vec<f64> {
     let most = envelope.jerk_mps3 * CELL_S;
     let mut now = 0.0;
     let followed = wanted.map(|wanted| {
@@ -173,7 +173,7 @@ fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
     RunOptions::new(controller).with_estimator(estimator)
 }
 
-fn cells(scenario: &Scenario) -> usize {
+fn cell_count(scenario: &Scenario) -> usize {
     (scenario.spec().duration_s / CELL_S).round() as usize
 }
 
@@ -182,7 +182,7 @@ fn effort_m2ps3(profile: &[f64]) -> f64 {
 }
 
 /// What each profile of the leader ends in, and the smallest gap in metres.
-fn simulated(scenario: &Scenario, options: &RunOptions, profiles: &[Vec<f64>]) -> Vec<(Outcome, f64)> {
+fn simulate_profiles(scenario: &Scenario, options: &RunOptions, profiles: &[Vec<f64>]) -> Vec<(Outcome, f64)> {
     let scripted = |profile: &Vec<f64>| {
         let from_s = (0..profile.len()).map(|cell| cell as f64 * CELL_S).collect();
         let script = LeadProfile::Pieces(Pieces { from_s, accel_mps2: profile.clone() });

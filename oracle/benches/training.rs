@@ -12,7 +12,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use crumple_oracle::Oracle;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{Past, Workspace};
+use crumple_world::policy::{FrameStack, Workspace};
 use crumple_world::random::{Purpose, stream};
 use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
@@ -36,7 +36,7 @@ const PAPER: (&str, usize, usize) = ("3 x 256, batch 512", 256, 512);
 const FAST: (&str, usize, usize) = ("3 x 64, batch 128", 64, 128);
 
 /// What divan counts for some products.
-fn counted(products: &[[usize; 3]]) -> ItemsCount {
+fn items_count(products: &[[usize; 3]]) -> ItemsCount {
     ItemsCount::new(operations(products))
 }
 
@@ -81,7 +81,7 @@ fn update_on_candle(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, u
     bencher.counter(counter).bench_local(|| oracle.update(&batch, &mut noise).expect("tensors"));
 }
 
-fn random(rows: usize, columns: usize) -> Tensor {
+fn random_tensor(rows: usize, columns: usize) -> Tensor {
     Tensor::rand(-1.0_f32, 1.0, (rows, columns), &Device::Cpu).expect("a tensor")
 }
 
@@ -111,12 +111,12 @@ fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
 }
 
 /// Multiply-adds with all operands in registers, in as many independent sums as hide their latency.
-struct InRegisters(usize);
+struct RegisterMultiplyAdds(usize);
 
 /// Independent sums.
 const SUMS: usize = 16;
 
-impl WithSimd for InRegisters {
+impl WithSimd for RegisterMultiplyAdds {
     type Output = f32;
 
     #[inline(always)]
@@ -138,9 +138,9 @@ impl WithSimd for InRegisters {
 }
 
 /// How many numbers a vector register of this machine holds.
-struct Lanes;
+struct SimdWidth;
 
-impl WithSimd for Lanes {
+impl WithSimd for SimdWidth {
     type Output = usize;
 
     #[inline(always)]
@@ -153,14 +153,14 @@ impl WithSimd for Lanes {
 fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
     const ROUNDS: usize = 1 << 20;
     bencher
-        .counter(ItemsCount::new(2 * Arch::new().dispatch(Lanes) * SUMS * ROUNDS))
-        .bench_local(|| Arch::new().dispatch(InRegisters(ROUNDS)));
+        .counter(ItemsCount::new(2 * Arch::new().dispatch(SimdWidth) * SUMS * ROUNDS))
+        .bench_local(|| Arch::new().dispatch(RegisterMultiplyAdds(ROUNDS)));
 }
 
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (policy(width), seen(1), Workspace::default());
-    let mut past = Past::default();
+    let mut past = FrameStack::default();
     let bencher = bencher.counter(ItemsCount::new(acting(width)));
     bencher.bench_local(|| policy.choose(policy.look(&seen[0], &mut past), &mut space));
 }
@@ -171,8 +171,8 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let mut actions = vec![0.0; seen.len()];
     let counter = ItemsCount::new(seen.len() * acting(width));
     bencher.counter(counter).bench_local(|| {
-        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.look(seen, &mut Past::default()).to_vec()).collect();
-        policy.choose_all(&rows, &mut space, &mut actions);
+        let rows: Vec<f32> = seen.iter().flat_map(|seen| policy.look(seen, &mut FrameStack::default()).to_vec()).collect();
+        policy.choose_batch(&rows, &mut space, &mut actions);
     });
 }
 

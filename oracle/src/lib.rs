@@ -13,22 +13,22 @@ use crumple_world::policy::Network;
 use crumple_world::random::Stream;
 
 /// Actor, critics and targets as candle sees them.
-pub struct Oracle {
-    actor: Pair,
-    critics: Vec<Pair>,
+pub struct ReferenceLearner {
+    actor: NetworkWithTarget,
+    critics: Vec<NetworkWithTarget>,
     learning: LearningConfig,
     td3: Td3Config,
     updates: u64,
 }
 
 /// A network, its target and its optimiser.
-struct Pair {
+struct NetworkWithTarget {
     network: Mlp,
     target: Mlp,
     optimiser: AdamW,
 }
 
-impl Pair {
+impl NetworkWithTarget {
     fn new(trained: &Trained, rate: f32) -> Result<Self> {
         let network = Mlp::new(&trained.network)?;
         let params = ParamsAdamW { lr: f64::from(rate), weight_decay: 0.0, ..ParamsAdamW::default() };
@@ -72,7 +72,7 @@ impl Mlp {
         Ok(value)
     }
 
-    fn follow(&self, network: &Self, share: f64) -> Result<()> {
+    fn polyak_update(&self, network: &Self, share: f64) -> Result<()> {
         for (target, var) in self.vars.iter().zip(&network.vars) {
             target.set(&((target.as_tensor() * (1.0 - share))? + (var.as_tensor() * share)?)?)?;
         }
@@ -80,7 +80,7 @@ impl Mlp {
     }
 
     /// One value for each variable, in the order of [`Network::parameters`].
-    fn flat(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
+    fn flatten(&self, of: impl Fn(&Var) -> Result<Tensor>) -> Result<Vec<f32>> {
         let mut all = Vec::new();
         for layer in self.vars.chunks_exact(2) {
             all.extend(of(&layer[0])?.t()?.contiguous()?.flatten_all()?.to_vec1::<f32>()?);
@@ -91,7 +91,7 @@ impl Mlp {
 }
 
 /// A batch as tensors.
-struct Rows {
+struct BatchTensors {
     states: Tensor,
     actions: Tensor,
     rewards: Tensor,
@@ -101,7 +101,7 @@ struct Rows {
     continues: Tensor,
 }
 
-impl Rows {
+impl BatchTensors {
     fn new(batch: &Batch) -> Result<Self> {
         let n = batch.len();
         let rows = |values: &[f32], width: usize| Tensor::from_slice(values, (n, width), &Device::Cpu);
@@ -122,15 +122,15 @@ impl Rows {
 /// Gradients of each critic, and of the actor.
 type Gradients = (Vec<Vec<f32>>, Vec<f32>);
 
-impl Oracle {
+impl ReferenceLearner {
     /// The networks of a learner that has made no update.
     ///
     /// # Errors
     /// candle's, in principle.
     pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
         Ok(Self {
-            actor: Pair::new(&learner.actor, learning.actor_rate)?,
-            critics: learner.critics.iter().map(|c| Pair::new(c, learning.critic_rate)).collect::<Result<_>>()?,
+            actor: NetworkWithTarget::new(&learner.actor, learning.actor_rate)?,
+            critics: learner.critics.iter().map(|c| NetworkWithTarget::new(c, learning.critic_rate)).collect::<Result<_>>()?,
             learning: learning.clone(),
             td3: td3.clone(),
             updates: 0,
@@ -139,7 +139,7 @@ impl Oracle {
 
     /// y: the reward, and the discounted value of what follows by the least of the critics' targets, at the actor target's
     /// action with a little noise.
-    fn td_targets(&self, rows: &Rows, noise: &mut Stream) -> Result<Tensor> {
+    fn td_targets(&self, rows: &BatchTensors, noise: &mut Stream) -> Result<Tensor> {
         let mut actions = self.actor.target.forward(&rows.next_states)?.tanh()?;
         if self.td3.target_noise > 0.0 {
             let normals: Vec<f32> = (0..actions.dim(0)?).map(|_| StandardNormal.sample(noise)).collect();
@@ -161,12 +161,12 @@ impl Oracle {
         Ok((&rows.rewards + (&rows.continues * (values * self.learning.discount)?)?)?.detach())
     }
 
-    fn critic_loss(&self, critic: &Pair, rows: &Rows, td_targets: &Tensor) -> Result<(Tensor, Tensor)> {
+    fn critic_loss(&self, critic: &NetworkWithTarget, rows: &BatchTensors, td_targets: &Tensor) -> Result<(Tensor, Tensor)> {
         let values = critic.network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &rows.actions], 1)?)?;
         Ok(((&values - td_targets)?.sqr()?.mean_all()?, values))
     }
 
-    fn actor_loss(&self, rows: &Rows) -> Result<Tensor> {
+    fn actor_loss(&self, rows: &BatchTensors) -> Result<Tensor> {
         let raw = self.actor.network.forward(&rows.states)?;
         let values =
             self.critics[0].network.forward(&Tensor::cat(&[&rows.states, &rows.privileged[0], &raw.tanh()?], 1)?)?;
@@ -183,7 +183,7 @@ impl Oracle {
     /// # Errors
     /// candle's, in principle.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
-        let rows = Rows::new(batch)?;
+        let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
         let number = |tensor: Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let mut losses = Losses::default();
@@ -210,7 +210,7 @@ impl Oracle {
     /// # Errors
     /// candle's, in principle.
     pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
-        let rows = Rows::new(batch)?;
+        let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
         let of = |network: &Mlp, loss: Tensor| {
             let found = loss.backward()?;
@@ -233,7 +233,7 @@ impl Oracle {
         networks.map(|network| network.flat(|var| Ok(var.as_tensor().clone()))).collect()
     }
 
-    fn pairs(&self) -> impl Iterator<Item = &Pair> {
+    fn trained_networks(&self) -> impl Iterator<Item = &NetworkWithTarget> {
         std::iter::once(&self.actor).chain(&self.critics)
     }
 }

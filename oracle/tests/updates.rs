@@ -3,13 +3,13 @@
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
 use crumple_oracle::Oracle;
-use crumple_world::policy::{Network, STATE};
+use crumple_world::policy::{Network, STATE_LEN};
 use crumple_world::random::{Purpose, Stream, stream};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 /// Numbers of an observation with one earlier decision.
-const OBSERVED: usize = 2 * STATE;
+const OBSERVATION_SIZE: usize = 2 * STATE_LEN;
 
 fn config(hidden: &[usize]) -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();

@@ -13,14 +13,14 @@ use pyo3::types::{PyBytes, PyDict};
 use crate::controller;
 use crate::errors::{self, Class};
 use crate::values::written;
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// Everything that an assessment found out.
 #[pyclass(frozen, module = "crumple")]
-pub(crate) struct Assessment(report::Assessment);
+pub(crate) struct PyAssessment(report::Assessment);
 
 #[pymethods]
-impl Assessment {
+impl PyAssessment {
     /// What `assessment.json` says.
     #[getter]
     fn evidence<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -61,13 +61,13 @@ impl Assessment {
 
     /// The first page, for a notebook: a frame of its own, so that neither's style changes the other.
     fn _repr_html_(&self) -> String {
-        let page = self.0.first_page_html();
+        let page = self.0.first_page_to_html();
         let quoted = page.replace('&', "&amp;").replace('"', "&quot;");
         format!("<iframe srcdoc=\"{quoted}\" sandbox style=\"width:100%;height:30em;border:0\"></iframe>")
     }
 
     fn __str__(&self) -> String {
-        self.0.first_page.plain() + &self.0.first_page.gates_plain()
+        self.0.first_page.plain() + &self.0.first_page.gates_to_plain_text()
     }
 
     fn __repr__(&self) -> String {
@@ -88,22 +88,22 @@ pub(crate) fn assess(
     evidence: Option<PathBuf>,
     fresh: bool,
     progress: Option<Py<PyAny>>,
-) -> PyResult<Assessment> {
+) -> PyResult<PyAssessment> {
     let stop = Stop::default();
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Assessment, &error.to_string());
     let own = controllers.iter().map(|one| controller::named(one, &stop)).collect::<PyResult<Vec<_>>>()?;
     let plan = match (&path, &toml, &json) {
         (None, None, None) if own.is_empty() => AssessmentPlan::built_in(),
         (Some(path), ..) if own.is_empty() => {
-            AssessmentPlan::load(path).map_err(|error| of_configuration(py, &error))?
+            AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?
         }
         _ => {
             let (config, folder) = configuration(py, path.as_deref(), toml, json)?;
-            AssessmentPlan::new(config, own, &folder).map_err(|error| of_configuration(py, &error))?
+            AssessmentPlan::new(config, own, &folder).map_err(|error| config_exception(py, &error))?
         }
     };
     let against = against.as_deref().map(Earlier::load).transpose().map_err(|error| wrong(&error))?;
-    if against.is_none() && plan.wants_earlier() {
+    if against.is_none() && plan.needs_earlier_assessment() {
         return Err(wrong(&"the gate `nothing-worse` needs an earlier assessment: against"));
     }
     let store = match evidence {
@@ -117,11 +117,11 @@ pub(crate) fn assess(
     let assessment = watched(py, &stop, progress.as_ref(), |say| {
         report::assess(&plan, &store, against.as_ref(), &|state: &Progress| say((state.done, runs, 0)))
     })?;
-    Ok(Assessment(assessment.map_err(|error| wrong(&error))?))
+    Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
 }
 
 /// The configuration that a file or a text states, and where files that it names are.
-fn configuration(
+fn read_config(
     py: Python<'_>,
     path: Option<&Path>,
     toml: Option<String>,
@@ -141,11 +141,11 @@ fn configuration(
     Ok((file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?, here))
 }
 
-fn of_configuration(py: Python<'_>, error: &ConfigError) -> PyErr {
+fn config_exception(py: Python<'_>, error: &ConfigError) -> PyErr {
     match error {
         ConfigError::File(error) => errors::of_file(py, Class::Assessment, error),
         ConfigError::Field { path, line, field, .. } => {
-            errors::of_place(py, Class::Assessment, error, (path, *line, field))
+            errors::exception_at(py, Class::Assessment, error, (path, *line, field))
         }
         other => errors::raised(py, Class::Assessment, other),
     }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::{Contrast, Relation};
+use crumple_search::falsify::{FailureCriterion, Relation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
@@ -12,7 +12,7 @@ use crate::errors::{self, Class};
 use crate::scenario::Space;
 use crate::simulation::ESTIMATORS;
 use crate::values::{choice, written};
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// Searches a space for failures of a controller; the campaign's summary, and the same as text.
 #[pyfunction]
@@ -38,9 +38,9 @@ pub(crate) fn falsify<'py>(
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::of_field(py, &error))?;
     let contrast = match beside {
         (None, None) => None,
-        (Some(other), None) => Some(Contrast::Against(controller::named(&other, &stop)?)),
+        (Some(other), None) => Some(FailureCriterion::Against(controller::named(&other, &stop)?)),
         (None, Some(relation)) => {
-            Some(Contrast::Metamorphic(relation.parse::<Relation>().map_err(|error| wrong(&error))?))
+            Some(FailureCriterion::Metamorphic(relation.parse::<Relation>().map_err(|error| wrong(&error))?))
         }
         (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
     };

@@ -4,25 +4,25 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crumple_world::control::{BatchController, Controller, ControllerFailure, ControllerSource, Ego};
-use crumple_world::observation::{Neighbour, Observation as Seen};
+use crumple_world::observation::{Neighbour, PyObservation as Seen};
 use crumple_world::sim::NamedController;
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::errors::{self, Class};
-use crate::watched::Stop;
+use crate::interruptible::Stop;
 
 /// Most characters of a traceback that a failure carries: its end.
-const MOST_CHARACTERS: usize = 4000;
+const MAX_TRACEBACK_CHARS: usize = 4000;
 
 /// Numbers of a row of a batch.
-const ROW: usize = 8;
+const ROW_WIDTH: usize = 8;
 
 /// What a controller may see. Numbers of a vehicle that is not there are None.
 #[pyclass(frozen, get_all, module = "crumple")]
 #[derive(Debug)]
-pub(crate) struct Observation {
+pub(crate) struct PyObservation {
     speed_mps: f64,
     acceleration_mps2: f64,
     gap_ahead_m: Option<f64>,
@@ -34,14 +34,14 @@ pub(crate) struct Observation {
 }
 
 #[pymethods]
-impl Observation {
+impl PyObservation {
     fn __repr__(&self) -> String {
         format!("{self:?}")
     }
 }
 
-impl Observation {
-    fn of(seen: &Seen) -> Self {
+impl PyObservation {
+    fn new(seen: &Seen) -> Self {
         let of = |vehicle: Option<Neighbour>, take: fn(Neighbour) -> f64| vehicle.map(take);
         Self {
             speed_mps: seen.speed_mps,
@@ -56,9 +56,9 @@ impl Observation {
     }
 
     /// The row of a batch, in the paper's order; what is not there is not a number.
-    fn row(seen: &Seen) -> [f64; ROW] {
-        const NOBODY: Neighbour = Neighbour { gap_m: f64::NAN, speed_mps: f64::NAN, acceleration_mps2: f64::NAN };
-        let (ahead, behind) = (seen.ahead.unwrap_or(NOBODY), seen.behind.unwrap_or(NOBODY));
+    fn row(seen: &Seen) -> [f64; ROW_WIDTH] {
+        const ABSENT: Neighbour = Neighbour { gap_m: f64::NAN, speed_mps: f64::NAN, acceleration_mps2: f64::NAN };
+        let (ahead, behind) = (seen.ahead.unwrap_or(ABSENT), seen.behind.unwrap_or(ABSENT));
         [
             ahead.gap_m,
             behind.gap_m,
@@ -80,7 +80,7 @@ pub(crate) fn allow_external() {
 }
 
 /// A name as on the command line, or a `crumple.Controller`.
-pub(crate) fn named(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<NamedController> {
+pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
         return NamedController::find_for_user(&name, Path::new(""))
@@ -95,12 +95,12 @@ pub(crate) fn named(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Name
         return Err(PyValueError::new_err("interval_s must be a positive number of seconds, or None"));
     }
     let way = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
-        (false, false) => Way::Alone,
-        (true, false) => Way::Batch,
-        (false, true) => Way::EachRun,
+        (false, false) => CallMode::Alone,
+        (true, false) => CallMode::Batch,
+        (false, true) => CallMode::EachRun,
         (true, true) => return Err(PyValueError::new_err("a batch has no run of its own: choose batch or each_run")),
     };
-    let called = Arc::new(Called { decide: decide.unbind(), way, stop: stop.clone() });
+    let called = Arc::new(PythonCallable { decide: decide.unbind(), way, stop: stop.clone() });
     let identity = controller.getattr("identity")?.extract()?;
     let name: String = controller.getattr("name")?.extract()?;
     Ok(NamedController::from_source(&name, Arc::new(PythonSource { called, interval_s, identity })))
@@ -108,24 +108,24 @@ pub(crate) fn named(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Name
 
 /// How a callable is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Way {
+enum CallMode {
     /// With an observation.
-    Alone,
+    Single,
     /// With an array of them.
     Batch,
     /// It makes a callable for each run, which is asked with an observation.
-    EachRun,
+    PerRun,
 }
 
 /// A callable, and when not to call it any more.
-struct Called {
+struct PythonCallable {
     decide: Py<PyAny>,
-    way: Way,
+    mode: CallMode,
     stop: Stop,
 }
 
 struct PythonSource {
-    called: Arc<Called>,
+    callable: Arc<PythonCallable>,
     interval_s: Option<f64>,
     identity: Option<String>,
 }
@@ -140,35 +140,35 @@ impl ControllerSource for PythonSource {
     }
 
     fn batch(&self) -> Option<&dyn BatchController> {
-        (self.called.way == Way::Batch).then_some(&*self.called)
+        (self.called.way == CallMode::Batch).then_some(&*self.called)
     }
 
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-        if self.called.way != Way::EachRun {
+        if self.called.way != CallMode::EachRun {
             return Ok(Box::new(PythonDriver(Arc::clone(&self.called))));
         }
         self.called.go_on()?;
         let decide = Python::attach(|py| {
-            self.called.decide.call1(py, (ego.vehicle, seed)).map_err(|error| raised_inside(py, &error))
+            self.called.decide.call1(py, (ego.vehicle, seed)).map_err(|error| failure_from_exception(py, &error))
         })?;
-        let called = Called { decide, way: Way::Alone, stop: self.called.stop.clone() };
+        let called = PythonCallable { decide, way: CallMode::Alone, stop: self.called.stop.clone() };
         Ok(Box::new(PythonDriver(Arc::new(called))))
     }
 }
 
-impl Called {
-    fn go_on(&self) -> Result<(), ControllerFailure> {
+impl PythonCallable {
+    fn check_stop(&self) -> Result<(), ControllerFailure> {
         if self.stop.is_asked() { Err(died("it was interrupted")) } else { Ok(()) }
     }
 }
 
-impl BatchController for Called {
+impl BatchController for PythonCallable {
     fn decide_all(&self, seen: &[Seen], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
         self.go_on()?;
-        let rows: Vec<f64> = seen.iter().flat_map(Observation::row).collect();
+        let rows: Vec<f64> = seen.iter().flat_map(PyObservation::row).collect();
         Python::attach(|py| {
-            let raised = |error: PyErr| raised_inside(py, &error);
-            let rows = PyArray1::from_vec(py, rows).reshape([seen.len(), ROW]).map_err(raised)?;
+            let raised = |error: PyErr| failure_from_exception(py, &error);
+            let rows = PyArray1::from_vec(py, rows).reshape([seen.len(), ROW_WIDTH]).map_err(raised)?;
             let answered = self.decide.bind(py).call1((rows,)).map_err(raised)?;
             let answered: PyArrayLike1<'_, f64, AllowTypeChange> =
                 answered.extract().map_err(|_| died(format!("it answered no array of {} numbers", seen.len())))?;
@@ -183,29 +183,29 @@ impl BatchController for Called {
 }
 
 /// A callable at the wheel of one vehicle.
-struct PythonDriver(Arc<Called>);
+struct PythonDriver(Arc<PythonCallable>);
 
 impl Controller for PythonDriver {
     fn decide(&mut self, seen: &Seen) -> Result<f64, ControllerFailure> {
-        if self.0.way == Way::Batch {
+        if self.0.way == CallMode::Batch {
             let mut answer_mps2 = [0.0];
             self.0.decide_all(std::slice::from_ref(seen), &mut answer_mps2)?;
             return Ok(answer_mps2[0]);
         }
         self.0.go_on()?;
         Python::attach(|py| {
-            let answered = self.0.decide.bind(py).call1((Observation::of(seen),));
-            answered.and_then(|answered| answered.extract()).map_err(|error| raised_inside(py, &error))
+            let answered = self.0.decide.bind(py).call1((PyObservation::of(seen),));
+            answered.and_then(|answered| answered.extract()).map_err(|error| failure_from_exception(py, &error))
         })
     }
 }
 
-fn died(message: impl Into<String>) -> ControllerFailure {
+fn failure(message: impl Into<String>) -> ControllerFailure {
     ControllerFailure::Died { message: message.into() }
 }
 
 /// A failure with the end of the exception's traceback.
-fn raised_inside(py: Python<'_>, error: &PyErr) -> ControllerFailure {
+fn failure_from_exception(py: Python<'_>, error: &PyErr) -> ControllerFailure {
     let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
     let text = format!("{traceback}{error}");
     let skipped = text.chars().count().saturating_sub(MOST_CHARACTERS);

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crumple_learn::rl::{Ending, Episode, ScenarioSource, Terms, TrainingConfig, bounds, unsuited};
 use crumple_world::control::{ControllerSpec, NoSettings};
-use crumple_world::policy::STATE;
+use crumple_world::policy::STATE_LEN;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
@@ -19,12 +19,12 @@ use crate::threads;
 use crate::values::choice;
 
 /// Episodes that a thread takes at least when they begin: fewer are begun faster than they are handed over.
-const LEAST_OF_A_THREAD: usize = 16;
+const MIN_EPISODES_PER_THREAD: usize = 16;
 
 const MUST_BE_RESET: &str = "an episode that is over, or has not begun, must be reset before it is stepped";
 
 /// Most episodes at once.
-const MOST_EPISODES: usize = 1 << 20;
+const MAX_EPISODES: usize = 1 << 20;
 
 /// What becomes of an episode that is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,14 +38,14 @@ enum Autoreset {
 }
 
 /// Where episodes come from and how they are driven.
-struct Task {
+struct EpisodeTask {
     source: Arc<dyn ScenarioSource>,
-    terms: Arc<Terms>,
+    config: Arc<Terms>,
     autoreset: Autoreset,
 }
 
-impl Task {
-    fn episode(&self, seed: u64, index: u64) -> Result<(Scenario, Episode), String> {
+impl EpisodeTask {
+    fn new_episode(&self, seed: u64, index: u64) -> Result<(Scenario, Episode), String> {
         let scenario = self.source.draw(seed, index).map_err(|error| error.to_string())?;
         if let Some(why) = unsuited(&scenario) {
             return Err(format!("{}: {why}", scenario.spec().name));
@@ -60,7 +60,7 @@ impl Task {
 }
 
 /// One episode after the other.
-struct Lane {
+struct SubEnvironment {
     seed: u64,
     next_index: u64,
     episode: Option<(Scenario, Episode)>,
@@ -68,7 +68,7 @@ struct Lane {
 }
 
 /// Where the results of a step of one lane go.
-struct Results<'a> {
+struct StepBuffers<'a> {
     state: &'a mut [f32],
     last_state: &'a mut [f32],
     reward: &'a mut f32,
@@ -78,13 +78,13 @@ struct Results<'a> {
 }
 
 /// Lane, action, state and last state, reward, and the three flags of its end.
-type Row<'a> = (
-    ((&'a mut Lane, &'a f32), (&'a mut [f32], &'a mut [f32])),
+type StepRow<'a> = (
+    ((&'a mut SubEnvironment, &'a f32), (&'a mut [f32], &'a mut [f32])),
     (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
 );
 
-impl Lane {
-    fn begin(&mut self, task: &Task, state: &mut [f32]) -> Result<(), String> {
+impl SubEnvironment {
+    fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
         let (scenario, mut episode) = task.episode(self.seed, self.next_index)?;
         self.next_index += 1;
         state.copy_from_slice(&episode.state());
@@ -93,7 +93,7 @@ impl Lane {
     }
 
     /// Why the next step cannot be made, if so.
-    fn refusal(&self, task: &Task, action: f32) -> Option<&'static str> {
+    fn step_error(&self, task: &EpisodeTask, action: f32) -> Option<&'static str> {
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return None;
         }
@@ -103,8 +103,8 @@ impl Lane {
         }
     }
 
-    fn step(&mut self, task: &Task, action: f32, results: Results<'_>) -> Result<(), String> {
-        let Results { state, last_state, reward, terminated, truncated, ending } = results;
+    fn step(&mut self, task: &EpisodeTask, action: f32, results: StepBuffers<'_>) -> Result<(), String> {
+        let StepBuffers { state, last_state, reward, terminated, truncated, ending } = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return self.begin(task, state);
@@ -128,7 +128,7 @@ impl Lane {
 }
 
 /// The place of an ending in `crumple.env.ENDINGS`.
-fn number(ending: Ending) -> u8 {
+fn ending_code(ending: Ending) -> u8 {
     match ending {
         Ending::Contact => 1,
         Ending::AtRest => 2,
@@ -140,8 +140,8 @@ fn number(ending: Ending) -> u8 {
 /// Episodes of the training task that step together.
 #[pyclass(frozen, module = "crumple")]
 pub(crate) struct Episodes {
-    task: Task,
-    lanes: Mutex<Vec<Lane>>,
+    task: EpisodeTask,
+    sub_environments: Mutex<Vec<SubEnvironment>>,
 }
 
 #[pymethods]
@@ -174,9 +174,9 @@ impl Episodes {
             [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
         let autoreset = choice("autoreset", autoreset, &known)?;
         let terms = Terms::new(environment, config.learning.discount);
-        let task = Task { source, terms, autoreset };
+        let task = EpisodeTask { source, terms, autoreset };
         task.episode(0, 0).map_err(|error| errors::raised(py, Class::Training, &error))?;
-        let lane = |seed| Lane { seed, next_index: 0, episode: None, is_over: false };
+        let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, lanes: Mutex::new((0..count as u64).map(lane).collect()) })
     }
 
@@ -211,8 +211,8 @@ impl Episodes {
         py.detach(|| {
             let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
-            fit(&[mask.len(), states.len() / STATE, seeds.as_ref().map_or(count, Vec::len)], count)?;
-            let begin = |(index, ((lane, state), chosen)): (usize, ((&mut Lane, &mut [f32]), &bool))| {
+            fit(&[mask.len(), states.len() / STATE_LEN, seeds.as_ref().map_or(count, Vec::len)], count)?;
+            let begin = |(index, ((lane, state), chosen)): (usize, ((&mut SubEnvironment, &mut [f32]), &bool))| {
                 if !chosen {
                     return Ok(());
                 }
@@ -222,10 +222,10 @@ impl Episodes {
                 lane.begin(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                return lanes.iter_mut().zip(states.chunks_exact_mut(STATE)).zip(mask).enumerate().try_for_each(begin);
+                return lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate().try_for_each(begin);
             }
-            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE)).zip(mask).enumerate();
-            pool.install(|| rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(begin))
+            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
+            pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }
@@ -248,7 +248,7 @@ impl Episodes {
         let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
         py.detach(|| {
             let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
-            let widths = [actions.len(), states.len() / STATE, last_states.len() / STATE];
+            let widths = [actions.len(), states.len() / STATE_LEN, last_states.len() / STATE_LEN];
             fit(&widths, lanes.len())?;
             fit(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
             // Before anybody moves: what is raised half-way would leave some of them a step ahead of the others.
@@ -259,21 +259,21 @@ impl Episodes {
                 return Err(format!("environment {index}: {why}"));
             }
             let step =
-                |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): Row<'_>| {
-                    let results = Results { state, last_state, reward, terminated, truncated, ending };
+                |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): StepRow<'_>| {
+                    let results = StepBuffers { state, last_state, reward, terminated, truncated, ending };
                     lane.step(&self.task, *action, results)
                 };
             // A hand-over of all work to a single other thread takes a tenth of the time.
             if pool.current_num_threads() == 1 {
-                let states = states.chunks_exact_mut(STATE).zip(last_states.chunks_exact_mut(STATE));
+                let states = states.chunks_exact_mut(STATE_LEN).zip(last_states.chunks_exact_mut(STATE_LEN));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
                 let mut rows = lanes.iter_mut().zip(actions).zip(states).zip(rewards.iter_mut().zip(ends));
                 return rows.try_for_each(step);
             }
-            let states = states.par_chunks_exact_mut(STATE).zip(last_states.par_chunks_exact_mut(STATE));
+            let states = states.par_chunks_exact_mut(STATE_LEN).zip(last_states.par_chunks_exact_mut(STATE_LEN));
             let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
             let rows = lanes.par_iter_mut().zip(actions).zip(states).zip(rewards.par_iter_mut().zip(ends));
-            pool.install(|| rows.with_min_len(LEAST_OF_A_THREAD).try_for_each(step))
+            pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(step))
         })
         .map_err(|error| errors::raised(py, Class::Training, &error))
     }
@@ -292,7 +292,7 @@ impl Episodes {
 }
 
 /// Every array has an entry for each lane.
-fn fit(lengths: &[usize], lanes: usize) -> Result<(), String> {
+fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
     match lengths.iter().find(|length| **length != lanes) {
         Some(length) => Err(format!("there are {lanes} environments, and an array for {length}")),
         None => Ok(()),
@@ -306,7 +306,7 @@ pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static s
 }
 
 /// A preset of `crumple train`, a file of one, or a text of two lines at least.
-fn training(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
+fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Training, &error.to_string());
     if preset.contains('\n') {
         return TrainingConfig::parse(preset, std::path::Path::new("<toml>")).map_err(|error| wrong(&error));

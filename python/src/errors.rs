@@ -4,12 +4,12 @@ use std::path::Path;
 
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::file::FileError;
-use crumple_world::scenario::space::UnknownSpace;
+use crumple_world::scenario::space::FindSpaceError;
 use pyo3::prelude::*;
 
 /// The classes of `crumple.errors`.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Class {
+pub(crate) enum ExceptionClass {
     Scenario,
     Space,
     Controller,
@@ -21,7 +21,7 @@ pub(crate) enum Class {
     Training,
 }
 
-impl Class {
+impl ExceptionClass {
     fn name(self) -> &'static str {
         match self {
             Self::Scenario => "ScenarioError",
@@ -39,19 +39,19 @@ impl Class {
 
 /// Where in which file something is wrong.
 #[derive(Debug, Default)]
-struct Place<'a> {
+struct ErrorLocation<'a> {
     file: Option<&'a Path>,
     line: Option<usize>,
     field: Option<&'a str>,
 }
 
 /// An exception that says what is wrong.
-pub(crate) fn raised(py: Python<'_>, class: Class, error: &impl std::fmt::Display) -> PyErr {
-    with_place(py, class, error, &Place::default())
+pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display) -> PyErr {
+    new_exception(py, class, error, &Place::default())
 }
 
 /// An exception that says which file cannot be used, and why.
-pub(crate) fn of_file(py: Python<'_>, class: Class, error: &FileError) -> PyErr {
+pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
         FileError::Read { path, .. } | FileError::Extension { path } => Place { file: Some(path), ..Place::default() },
         FileError::Syntax { path, line, message } => {
@@ -65,35 +65,35 @@ pub(crate) fn of_file(py: Python<'_>, class: Class, error: &FileError) -> PyErr 
     };
     if error.is_start_refused() {
         let words = format!("{error} (in Python: crumple.allow_external())");
-        return with_place(py, class, &words, &place);
+        return new_exception(py, class, &words, &place);
     }
-    with_place(py, class, error, &place)
+    new_exception(py, class, error, &place)
 }
 
 /// An exception that says which space there is none of.
-pub(crate) fn of_space(py: Python<'_>, error: &UnknownSpace) -> PyErr {
+pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
     match error {
-        UnknownSpace::File(error) => of_file(py, Class::Space, error),
-        other => raised(py, Class::Space, other),
+        FindSpaceError::File(error) => of_file(py, ExceptionClass::Space, error),
+        other => raised(py, ExceptionClass::Space, other),
     }
 }
 
 /// An exception that names a field.
-pub(crate) fn of_field(py: Python<'_>, error: &InvalidField) -> PyErr {
-    with_place(py, Class::Scenario, error, &Place { field: Some(&error.field), ..Place::default() })
+pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
+    new_exception(py, ExceptionClass::Scenario, error, &Place { field: Some(&error.field), ..Place::default() })
 }
 
 /// An exception that says where something is wrong: file, line and field.
-pub(crate) fn of_place(
+pub(crate) fn exception_at(
     py: Python<'_>,
-    class: Class,
+    class: ExceptionClass,
     error: &impl std::fmt::Display,
     (file, line, field): (&Path, usize, &str),
 ) -> PyErr {
-    with_place(py, class, error, &Place { file: Some(file), line: Some(line), field: Some(field) })
+    new_exception(py, class, error, &Place { file: Some(file), line: Some(line), field: Some(field) })
 }
 
-fn with_place(py: Python<'_>, class: Class, error: &impl std::fmt::Display, place: &Place<'_>) -> PyErr {
+fn new_exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display, place: &Place<'_>) -> PyErr {
     let file = place.file.map(|file| file.display().to_string());
     let made = py
         .import("crumple.errors")

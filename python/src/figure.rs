@@ -12,15 +12,15 @@ use crate::values::choice;
 
 /// A picture as SVG.
 #[pyclass(frozen, module = "crumple")]
-pub(crate) struct Figure {
+pub(crate) struct PyFigure {
     /// The whole file.
     #[pyo3(get)]
     svg: String,
 }
 
-impl Figure {
+impl PyFigure {
     /// Position, speed and spacing over time of one run.
-    pub(crate) fn of_motion(
+    pub(crate) fn from_motion(
         scenario: &Scenario,
         title: &str,
         trace: &Trace,
@@ -35,7 +35,7 @@ impl Figure {
 }
 
 #[pymethods]
-impl Figure {
+impl PyFigure {
     /// Writes the picture to a file that ends in `.svg`.
     fn save(&self, path: PathBuf) -> PyResult<()> {
         if path.extension().is_none_or(|extension| extension != "svg") {

@@ -16,7 +16,7 @@ mod simulation;
 mod table;
 mod threads;
 mod values;
-mod watched;
+mod interruptible;
 mod worst_case;
 
 use pyo3::prelude::*;
@@ -52,9 +52,9 @@ mod _crumple {
     /// Half-done work is gone on with by the same build alone: that of this file, not of the interpreter.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        let leave = wrap_pyfunction!(crate::watched::leave, module)?;
+        let leave = wrap_pyfunction!(crate::interruptible::leave, module)?;
         module.py().import("atexit")?.call_method1("register", (leave,))?;
-        crumple_store::program::loaded_from(module.filename()?.extract::<PathBuf>()?);
+        crumple_store::program::set_library_path(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }
 }

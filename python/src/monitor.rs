@@ -6,17 +6,17 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 
 use crate::errors::{self, Class};
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// Traces between two looks at whether to go on.
-const AT_ONCE: usize = 1024;
+const TRACES_PER_BATCH: usize = 1024;
 
 /// Samples and traces that are monitored before anybody could press a key.
-const AT_ONCE_SAMPLES: usize = 1 << 16;
+const MAX_INLINE_SAMPLES: usize = 1 << 16;
 
 /// Why a formula has no robustness on some signals.
 #[derive(Debug, thiserror::Error)]
-enum Unmonitored {
+enum RobustnessError {
     #[error(transparent)]
     Signals(#[from] SignalsError),
     #[error(transparent)]
@@ -24,15 +24,15 @@ enum Unmonitored {
 }
 
 /// Signals of several traces: of each a row for every trace, or one for all.
-struct Rows<'a> {
+struct SignalRows<'a> {
     step_s: f64,
     samples: usize,
-    named: Vec<(&'a str, &'a [f64], bool)>,
+    signals: Vec<(&'a str, &'a [f64], bool)>,
 }
 
-impl Rows<'_> {
+impl SignalRows<'_> {
     /// Robustness on one trace: at its start, or at every sample.
-    fn monitored(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, Unmonitored> {
+    fn robustness(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, RobustnessError> {
         let mut signals = Signals::new(self.step_s, self.samples)?;
         for (name, values, is_shared) in &self.named {
             let first = if *is_shared { 0 } else { trace * self.samples };
@@ -70,9 +70,9 @@ pub(crate) fn monitor<'py>(
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }
-    let rows = Rows { step_s, samples, named };
+    let rows = SignalRows { step_s, samples, named };
     let of = |trace: usize| rows.monitored(&formula, trace, over_time);
-    let found: Result<Vec<Vec<f64>>, Unmonitored> = if samples.saturating_mul(traces) <= AT_ONCE_SAMPLES {
+    let found: Result<Vec<Vec<f64>>, RobustnessError> = if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
         // A thread of its own would take longer.
         py.detach(|| (0..traces).map(of).collect())
     } else {

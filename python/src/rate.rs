@@ -11,10 +11,10 @@ use crate::errors::{self, Class};
 use crate::scenario::Space;
 use crate::simulation::ESTIMATORS;
 use crate::values::{choice, written};
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// What was counted, and what it shows: the certificate and what the checker accepts it as, or why nothing is shown.
-type Counted<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
+type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
 
 /// Counts the failures of a controller, or of two on the same draws, and certifies what that shows.
 #[pyfunction]
@@ -31,7 +31,7 @@ pub(crate) fn rate<'py>(
     folder: PathBuf,
     resume: bool,
     progress: Option<Py<PyAny>>,
-) -> PyResult<Counted<'py>> {
+) -> PyResult<RateResult<'py>> {
     let stop = Stop::default();
     let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Rate, &error.to_string());
     let against = against.map(|against| controller::named(against, &stop)).transpose()?;

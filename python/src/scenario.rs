@@ -12,10 +12,10 @@ use crate::values::written;
 /// A valid scenario.
 #[pyclass(frozen, eq, module = "crumple")]
 #[derive(PartialEq)]
-pub(crate) struct Scenario(pub(crate) world::Scenario);
+pub(crate) struct PyScenario(pub(crate) world::Scenario);
 
 #[pymethods]
-impl Scenario {
+impl PyScenario {
     /// The built-in scenario of that name, or the one in a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
@@ -93,14 +93,14 @@ impl Scenario {
 
 /// A space in which every point is a valid scenario.
 #[pyclass(frozen, module = "crumple")]
-pub(crate) struct Space(pub(crate) space::Space);
+pub(crate) struct PySpace(pub(crate) space::Space);
 
 #[pymethods]
-impl Space {
+impl PySpace {
     /// The built-in space of that name, or the one in a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
-        find_space(name).map(Self).map_err(|error| errors::of_space(py, &error))
+        find_space(name).map(Self).map_err(|error| errors::space_exception(py, &error))
     }
 
     /// The space that a text says; a base scenario in a file is looked for in the working directory.
@@ -121,18 +121,18 @@ impl Space {
     }
 
     /// The scenario at a point of the unit cube.
-    fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<Scenario> {
-        self.0.at(&point).map(Scenario).map_err(|error| errors::of_field(py, &error))
+    fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<PyScenario> {
+        self.0.at(&point).map(PyScenario).map_err(|error| errors::of_field(py, &error))
     }
 
     /// The scenario in which every parameter is nominal.
-    fn nominal(&self, py: Python<'_>) -> PyResult<Scenario> {
-        self.0.scenario(&self.0.nominal()).map(Scenario).map_err(|error| errors::of_field(py, &error))
+    fn nominal(&self, py: Python<'_>) -> PyResult<PyScenario> {
+        self.0.scenario(&self.0.nominal()).map(PyScenario).map_err(|error| errors::of_field(py, &error))
     }
 
     /// The draw of that number by the distribution.
-    fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<Scenario> {
-        self.0.draw(seed, index).map(Scenario).map_err(|error| errors::of_field(py, &error))
+    fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<PyScenario> {
+        self.0.draw(seed, index).map(PyScenario).map_err(|error| errors::of_field(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {

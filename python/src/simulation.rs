@@ -15,17 +15,17 @@ use crate::figure::Figure;
 use crate::scenario::Scenario;
 use crate::table;
 use crate::values::{choice, written};
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// Runs between two looks at whether to go on.
-const AT_ONCE: usize = 512;
+const BATCH_SIZE: usize = 512;
 
 pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] =
     [("kalman", EstimatorKind::Kalman), ("truth", EstimatorKind::Truth)];
 
 /// The motion of one vehicle: arrays with an entry a sample.
 #[pyclass(frozen, get_all, module = "crumple")]
-pub(crate) struct Track {
+pub(crate) struct PyTrack {
     length_m: f64,
     mass_kg: f64,
     position_m: Py<PyArray1<f64>>,
@@ -36,17 +36,17 @@ pub(crate) struct Track {
 
 /// The motion of all vehicles of a run.
 #[pyclass(frozen, get_all, module = "crumple")]
-pub(crate) struct Trace {
+pub(crate) struct PyTrace {
     time_s: Py<PyArray1<f64>>,
-    vehicles: Vec<Py<Track>>,
+    vehicles: Vec<Py<PyTrack>>,
 }
 
-impl Trace {
+impl PyTrace {
     /// Moves the samples; none is copied.
     fn new(py: Python<'_>, trace: sim::Trace) -> PyResult<Self> {
         let array = |samples: Vec<f64>| PyArray1::from_vec(py, samples).unbind();
         let track = |track: sim::Track| {
-            let track = Track {
+            let track = PyTrack {
                 length_m: track.length_m,
                 mass_kg: track.mass_kg,
                 position_m: array(track.position_m),
@@ -63,9 +63,9 @@ impl Trace {
     }
 
     /// The samples as they are now: the arrays are the caller's to change.
-    fn samples(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+    fn to_native(&self, py: Python<'_>) -> PyResult<sim::Trace> {
         let samples = |array: &Py<PyArray1<f64>>| Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec());
-        let track = |track: &Py<Track>| {
+        let track = |track: &Py<PyTrack>| {
             let track = track.get();
             Ok(sim::Track {
                 length_m: track.length_m,
@@ -82,7 +82,7 @@ impl Trace {
 }
 
 #[pymethods]
-impl Trace {
+impl PyTrace {
     /// The table of `crumple simulate --trace` for whatever reads Arrow. No other schema is made of it.
     #[pyo3(signature = (requested_schema = None))]
     fn __arrow_c_stream__<'py>(
@@ -106,9 +106,9 @@ pub(crate) struct Simulation {
     scenario: crumple_world::scenario::Scenario,
     controller: Arc<str>,
     options: RunOptions,
-    simulated: Simulated,
+    result: Simulated,
     #[pyo3(get)]
-    trace: Option<Py<Trace>>,
+    trace: Option<Py<PyTrace>>,
 }
 
 #[pymethods]
@@ -183,7 +183,7 @@ impl Simulation {
     #[pyo3(signature = (layout = "wide"))]
     fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<Figure> {
         let title = format!("{}, {}", self.scenario.spec().name, self.controller);
-        Figure::of_motion(&self.scenario, &title, &self.samples(py)?, &self.simulated.impacts, layout)
+        Figure::from_motion(&self.scenario, &title, &self.samples(py)?, &self.simulated.impacts, layout)
     }
 
     fn __repr__(&self) -> String {
@@ -192,7 +192,7 @@ impl Simulation {
 }
 
 impl Simulation {
-    fn samples(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+    fn native_trace(&self, py: Python<'_>) -> PyResult<sim::Trace> {
         match &self.trace {
             Some(trace) => trace.get().samples(py),
             None => Err(errors::raised(py, Class::Run, &"the simulation kept no trace: simulate with trace=True")),
@@ -244,7 +244,7 @@ pub(crate) fn simulate(
     drop(runs);
     let name: Arc<str> = controller.name.into();
     let simulation = |(scenario, mut simulated): (_, Simulated)| {
-        let trace = simulated.trace.take().map(|trace| Py::new(py, Trace::new(py, trace)?)).transpose()?;
+        let trace = simulated.trace.take().map(|trace| Py::new(py, PyTrace::new(py, trace)?)).transpose()?;
         Ok(Simulation { scenario, controller: Arc::clone(&name), options: options.clone(), simulated, trace })
     };
     scenarios.into_iter().zip(results).map(simulation).collect()

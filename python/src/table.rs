@@ -10,7 +10,7 @@ use crumple_world::sim::{Trace, Track};
 
 /// The table that `crumple simulate --trace` writes: a row a sample and vehicle, in order of time and then of vehicle. There is
 /// no gap ahead of the leader.
-pub(crate) fn stream(trace: &Trace) -> Result<FFI_ArrowArrayStream, ArrowError> {
+pub(crate) fn arrow_stream(trace: &Trace) -> Result<FFI_ArrowArrayStream, ArrowError> {
     let (samples, vehicles) = (trace.len(), trace.vehicles.len());
     let rows = || (0..samples).flat_map(|sample| (0..vehicles).map(move |vehicle| (sample, vehicle)));
     let at = |values: &[f64], sample: usize| values.get(sample).copied().unwrap_or(f64::NAN);

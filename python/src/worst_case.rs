@@ -11,10 +11,10 @@ use crate::errors::{self, Class};
 use crate::scenario::Scenario;
 use crate::simulation::ESTIMATORS;
 use crate::values::{choice, written};
-use crate::watched::{Stop, watched};
+use crate::interruptible::{Stop, watched};
 
 /// Most simulations that may be asked for.
-const MOST_SIMULATIONS: u32 = 10_000_000;
+const MAX_SIMULATIONS: u32 = 10_000_000;
 
 /// Looks for a braking profile of the leader; what was found as a scenario, and what `crumple worst-case` says of it.
 #[pyfunction]
@@ -30,7 +30,7 @@ pub(crate) fn worst_case<'py>(
     budget: u32,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<Scenario>, Bound<'py, PyAny>)> {
-    if !(1..=MOST_SIMULATIONS).contains(&budget) {
+    if !(1..=MAX_SIMULATIONS).contains(&budget) {
         return Err(PyValueError::new_err(format!("budget must be 1 to {MOST_SIMULATIONS}, found {budget}")));
     }
     let stop = Stop::default();

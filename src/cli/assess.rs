@@ -12,7 +12,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, interrupt, progress, subject, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, ComparisonError, Earlier, FOLDERS, Made, MergedEvidence, REPORT, Store, assess, gather_shard,
+    AssessmentPlan, ComparisonError, Earlier, REPORT_FOLDERS, Made, MergedEvidence, REPORT, Store, assess, gather_shard,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -81,9 +81,9 @@ pub(super) struct Assess {
 }
 
 /// The folder in a report's in which evidence is kept for the next one.
-pub(super) const EVIDENCE: &str = "evidence";
+pub(super) const EVIDENCE_FOLDER: &str = "evidence";
 /// The file that lists the files of a report.
-pub(super) const LISTING: &str = "report.sha256";
+pub(super) const LISTING_FILE: &str = "report.sha256";
 
 impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
@@ -91,7 +91,7 @@ impl Assess {
             None => AssessmentPlan::built_in(),
             Some(path) => {
                 let plan = AssessmentPlan::load(path)?;
-                let doubts = plan.controllers().iter().flat_map(subject::of_controller);
+                let doubts = plan.controllers().iter().flat_map(args::of_controller);
                 doubts.for_each(|doubt| output::note(&doubt, quiet));
                 plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
@@ -101,7 +101,7 @@ impl Assess {
             return self.gather(&plan, shard, quiet);
         }
         let against = self.against.as_deref().map(Earlier::load).transpose()?;
-        if against.is_none() && plan.wants_earlier() {
+        if against.is_none() && plan.needs_earlier_assessment() {
             return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
@@ -109,18 +109,18 @@ impl Assess {
         let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
         interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
-        check_own_folders(&self.out)?;
-        if let Some(kind) = work::kind_in(&self.out).filter(|kind| kind != REPORT) {
+        check_no_symlinks(&self.out)?;
+        if let Some(kind) = work::read_kind(&self.out).filter(|kind| kind != REPORT) {
             return Err(Failure::Input(format!(
                 "--out: {} holds a {kind}, whose work.json a report would replace",
                 self.out.display()
             )));
         }
         // Reports of earlier builds have no listing, but a manifest.
-        let folder = OutputFolder::listed(&self.out, LISTING)?.knowing(work::digests_in(&self.out, REPORT));
+        let folder = OutputFolder::listed(&self.out, LISTING_FILE)?.knowing(work::read_digests(&self.out, REPORT));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
         let store = Store::open(&kept, identity, self.fresh)?;
-        if let Some(unknown) = plan.without_identity() {
+        if let Some(unknown) = plan.first_without_identity() {
             let note = format!(
                 "note: `{}` states no identity, so nothing of this assessment is kept for the next",
                 unknown.name
@@ -144,7 +144,7 @@ impl Assess {
         if let Some(comparison) = &assessment.comparison {
             said += &format!("{}\n", comparison.words());
         }
-        said += &assessment.first_page.gates_plain();
+        said += &assessment.first_page.gates_to_plain_text();
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
         let printed = output::print_result(self.format, &assessment.summary, || said);
         let gate = match failed.as_slice() {
@@ -167,7 +167,7 @@ impl Assess {
         bar.finish_and_clear();
         let pieces = gathered?;
         let said = "`crumple merge` puts it together with the others";
-        let gathered = Gathered { pieces, folder: out.to_string(), shard };
+        let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
         let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {said}\n");
         output::print_result(self.format, &gathered, words)
     }
@@ -175,7 +175,7 @@ impl Assess {
 
 /// What a shard has gathered, for programs.
 #[derive(Serialize)]
-struct Gathered {
+struct EvidenceShardReport {
     pieces: u64,
     folder: String,
     shard: Shard,
@@ -183,7 +183,7 @@ struct Gathered {
 
 /// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
 pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Result<(), Failure> {
-    check_own_folders(out)?;
+    check_no_symlinks(out)?;
     let folder = out.join(EVIDENCE);
     let pieces = merged.write_in(&folder)?;
     let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing());
@@ -201,13 +201,13 @@ pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Resu
         false => "`crumple assess` of the build that gathered it, which is not this one,",
     };
     let words = format!("{pieces} pieces of evidence in {folder}: {how} writes the report\n");
-    let merged = Merged { pieces, folder, is_of_this_build, missing, shards };
+    let merged = MergedEvidenceReport { pieces, folder, is_of_this_build, missing, shards };
     Failure::gate_first(gate, output::print_result(format, &merged, || words))
 }
 
 /// What shards of an assessment come to, for programs.
 #[derive(Serialize)]
-struct Merged {
+struct MergedEvidenceReport {
     /// Pieces of evidence that were put into the folder, or were there.
     pieces: usize,
     folder: String,
@@ -220,26 +220,26 @@ struct Merged {
 }
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
-fn check_own_folders(out: &Path) -> Result<(), Failure> {
-    FOLDERS.into_iter().chain([EVIDENCE, "figures"]).try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
+fn check_no_symlinks(out: &Path) -> Result<(), Failure> {
+    REPORT_FOLDERS.into_iter().chain([EVIDENCE, "figures"]).try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
 }
 
 /// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.
-fn is_own(folder: &Path) -> Result<(), Failure> {
+fn ensure_no_symlinks(folder: &Path) -> Result<(), Failure> {
     if folder.is_symlink() && !folder.is_file() {
-        return Err(leads_elsewhere(folder));
+        return Err(symlink_error(folder));
     }
     let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
     entries.flatten().try_for_each(|entry| is_own(&entry.path()))
 }
 
-fn leads_elsewhere(folder: &Path) -> Failure {
+fn symlink_error(folder: &Path) -> Failure {
     let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
     Failure::Input(format!("{}: {problem}", folder.display()))
 }
 
 /// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.
-fn commit(folder: &Path) -> Option<String> {
+fn git_commit(folder: &Path) -> Option<String> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let git = |arguments: &[&str]| {
         let no_programs = ["-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null"];
@@ -261,7 +261,7 @@ fn commit(folder: &Path) -> Option<String> {
 }
 
 /// When and where.
-fn made(folder: &Path, program_sha256: &str, took: Duration) -> Made {
+fn build_info(folder: &Path, program_sha256: &str, took: Duration) -> Made {
     let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;
         Some(format!(", {}", line.split_once(':')?.1.trim()))

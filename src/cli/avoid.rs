@@ -7,7 +7,7 @@ use clap::Args;
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::finding::Finding;
+use super::artifacts::Finding;
 use super::output;
 use super::{Failure, choice, subject};
 use crumple_core::quoted::Terminal;
@@ -58,7 +58,7 @@ pub(super) struct Avoid {
     grid: Option<f64>,
     /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all firings of the
     /// brake behind and has other drivers in the loop
-    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = choice::one_of(choice::ESCAPES))]
+    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = value_enums::one_of(value_enums::ESCAPES))]
     escape: EscapeKind,
     /// Write what `crumple check` accepts: the escape or the proof; a file there is replaced
     #[arg(long, value_name = "F.json")]
@@ -72,7 +72,7 @@ pub(super) struct Avoid {
 
 /// What `--format json` prints.
 #[derive(Serialize)]
-struct Report<'a> {
+struct AvoidReport<'a> {
     scenario: &'a str,
     verdict: &'static str,
     best_min_gap_m: Option<f64>,
@@ -107,16 +107,16 @@ impl Avoid {
         self.stage_certificates(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
-                self.finding.write(&escape.scenario, "escape", &mut files, || subject::replay(&escape.scenario))?;
+                self.finding.write(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
             }
-            None => self.finding.note_nothing("there is no escape", quiet),
+            None => self.finding.note_nothing_to_write("there is no escape", quiet),
         }
         files.commit()?;
         self.finding.print(&self.report(family.centre(), &avoidance), describe)
     }
 
     fn family(&self) -> Result<Family, Failure> {
-        let scenario = subject::scenario(&self.scenario)?;
+        let scenario = args::scenario(&self.scenario)?;
         let Some(path) = &self.ranges else { return Ok(Family::point(&scenario)) };
         let text = file::read(path)?;
         let ranges: Ranges = file::parse_toml(&text, path)?;
@@ -160,7 +160,7 @@ impl Avoid {
             }),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
             escape_is_best_for: escape.map(|escape| match escape.found_by {
-                FoundBy::Programs => self.escape.is_best_for().to_owned(),
+                FoundBy::Programs => self.escape.optimality_description().to_owned(),
                 FoundBy::ClosedLoop { simulations } => format!(
                     "the largest smallest gap with the drivers of all other vehicles in the loop, best of {simulations} \
                      simulated profiles"
@@ -178,7 +178,7 @@ impl Avoid {
 }
 
 /// The certificate of the verdict.
-fn answer(family: &Family, avoidance: &Avoidance) -> Result<Certificate, Reason> {
+fn verdict_certificate(family: &Family, avoidance: &Avoidance) -> Result<Certificate, Reason> {
     match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
         AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
@@ -186,7 +186,7 @@ fn answer(family: &Family, avoidance: &Avoidance) -> Result<Certificate, Reason>
     }
 }
 
-fn stage(path: &Path, certificate: Result<Certificate, String>, files: &mut Files) -> Result<(), Failure> {
+fn stage_certificate(path: &Path, certificate: Result<Certificate, String>, files: &mut Files) -> Result<(), Failure> {
     match certificate {
         Ok(certificate) => {
             let text = serde_json::to_string(&certificate).map_err(Failure::input)? + "\n";

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::cruise::Cruise;
+use super::acc_benchmark::Cruise;
 use super::simulate::Format;
 use super::{Failure, output};
 use crumple_search::falsify::Method;
@@ -14,13 +14,13 @@ use crumple_store::disk::{DiskError, Files};
 
 /// Measure it on a public problem: the search, or what is proved of a network
 #[derive(Args)]
-pub(super) struct Measure {
+pub(super) struct BenchmarkCommand {
     #[command(subcommand)]
-    problem: Problem,
+    problem: BenchmarkSubcommand,
 }
 
 #[derive(Subcommand)]
-enum Problem {
+enum BenchmarkSubcommand {
     ChasingCars(ChasingCars),
     Acc(Cruise),
 }
@@ -53,11 +53,11 @@ struct ChasingCars {
     format: Format,
 }
 
-impl Measure {
+impl BenchmarkCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         match self.problem {
-            Problem::ChasingCars(cars) => cars.run(quiet),
-            Problem::Acc(cruise) => cruise.run(),
+            BenchmarkSubcommand::ChasingCars(cars) => cars.run(quiet),
+            BenchmarkSubcommand::Acc(cruise) => cruise.run(),
         }
     }
 }
@@ -87,7 +87,7 @@ fn check_empty(folder: &Path) -> Result<(), Failure> {
 }
 
 /// Writes each counterexample to a file of its own, reads it back and replays it from there.
-fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure> {
+fn write_counterexamples(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
     let found: Vec<CounterexampleFile> = measured.counterexample_files();
     let mut files = Files::default();
@@ -114,7 +114,7 @@ fn keep(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure>
     Ok(())
 }
 
-fn table(measured: &Benchmark) -> String {
+fn format_table(measured: &Benchmark) -> String {
     // Writing to a string cannot fail.
     let mut text = format!("Chasing Cars, {}, at most {} evaluations\n", measured.method, measured.budget);
     for row in &measured.rows {

@@ -12,9 +12,9 @@ use serde::Serialize;
 use super::simulate::Format;
 use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
 use crumple_evidence::{
-    CertificateReport, Counts, Rerun, RerunError, Sample, checker_file, lies_within, report_json, report_text,
+    CertificateReport, CountsStatus, Rerun, RerunError, Sample, checker_file, lies_within, report_json, report_text,
 };
-use crumple_world::control::NamedBy;
+use crumple_world::control::NameOrigin;
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Scenario;
@@ -58,17 +58,17 @@ pub(super) struct Check {
     #[arg(long, value_name = "N", requires = "rerun")]
     rerun_seed: Option<u64>,
     /// A controller of counted runs that is not built in, for --rerun; may be given twice
-    #[arg(long, value_name = "C", requires = "rerun", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", requires = "rerun", value_parser = args::controller)]
     controller: Vec<NamedController>,
     /// Billions of operations that checking one certificate may take; the default is some ten minutes of one core
-    #[arg(long, value_name = "N", default_value_t = WorkLimit::default().in_billions())]
+    #[arg(long, value_name = "N", default_value_t = WorkLimit::default().to_billions())]
     work_limit: u64,
     /// How to print: for a reader, or one JSON object a certificate
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
 }
 
-fn percent(text: &str) -> Result<f64, String> {
+fn parse_percent(text: &str) -> Result<f64, String> {
     match text.trim_end_matches('%').parse::<f64>() {
         Ok(percent) if percent > 0.0 && percent <= 100.0 => Ok(percent),
         _ => Err("must be above 0 and at most 100".to_owned()),
@@ -77,7 +77,7 @@ fn percent(text: &str) -> Result<f64, String> {
 
 impl Check {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let scenario = self.scenario.as_deref().map(subject::scenario).transpose()?;
+        let scenario = self.scenario.as_deref().map(args::scenario).transpose()?;
         if self.rerun.is_some() {
             interrupt::says("nothing was confirmed or refuted".to_owned(), quiet);
         }
@@ -96,10 +96,10 @@ impl Check {
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
         }
-        let printed = output::print_for(
+        let printed = output::print_coloured(
             self.format,
             &match self.format {
-                Format::Json => report_json(&all).map_err(Failure::input)? + &json_of_others(&others)?,
+                Format::Json => report_json(&all).map_err(Failure::input)? + &unchecked_to_json(&others)?,
                 Format::Text => report_text(&all, self.scenario.as_deref()),
             },
         );
@@ -111,7 +111,7 @@ impl Check {
         Failure::gate_first(gate, printed)
     }
 
-    fn judge<'a>(
+    fn check_certificate<'a>(
         &self,
         path: &Path,
         certificate: &'a Certificate,
@@ -126,7 +126,7 @@ impl Check {
             (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), Some(percent)) => {
                 Some(self.count_again(path, certificate, percent, quiet)?)
             }
-            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(Counts::MakersWord),
+            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(CountsStatus::MakersWord),
             _ => None,
         };
         report.about = scenario.map(|scenario| {
@@ -135,13 +135,13 @@ impl Check {
         Ok(report)
     }
 
-    fn count_again(
+    fn rerun_counts(
         &self,
         path: &Path,
         certificate: &Certificate,
         percent: f64,
         quiet: bool,
-    ) -> Result<Counts, Failure> {
+    ) -> Result<CountsStatus, Failure> {
         let cannot = |error: RerunError| Failure::Input(format!("{}: {error}", path.display()));
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The keys of a new table's hashes are random: nobody could know them when the certificate was made.
@@ -151,8 +151,8 @@ impl Check {
         let counted = rerun.confirm(sample, &progress::advance(&bar));
         bar.finish_and_clear();
         match counted {
-            Ok(confirmation) => Ok(Counts::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
-            Err(refuted @ RerunError::Refuted { .. }) => Ok(Counts::Refuted { because: refuted.to_string() }),
+            Ok(confirmation) => Ok(CountsStatus::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
+            Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted { because: refuted.to_string() }),
             Err(other) => Err(cannot(other)),
         }
     }
@@ -161,13 +161,13 @@ impl Check {
     /// computes again, says that it is the one meant.
     fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
         if certificate.policy().is_some()
-            && let Some(source) = self.policy.as_deref().filter(|path| is_source(path))
+            && let Some(source) = self.policy.as_deref().filter(|path| is_network_source(path))
         {
             let place = source.display();
             if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
-                return Ok(Some(cruise::network(source)?.network_bytes().to_vec()));
+                return Ok(Some(acc_benchmark::network(source)?.network_bytes().to_vec()));
             }
-            let read = controller_file::load(source, NamedBy::User).map_err(|error| match error {
+            let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => Failure::Input(format!(
                     "{place}: is no controller by itself, so the network of the certificate came through a controller file: \
                      name that after --policy"
@@ -189,23 +189,23 @@ impl Check {
 
 /// Certificate that could not be judged, one line of `--format json`.
 #[derive(Serialize)]
-struct NotJudged<'a> {
+struct UncheckedCertificate<'a> {
     certificate: &'a str,
     accepted: bool,
     error: String,
 }
 
 /// Formats certificates that could not be judged as one JSON object a line.
-fn json_of_others(others: &[(String, Failure)]) -> Result<String, Failure> {
+fn unchecked_to_json(others: &[(String, Failure)]) -> Result<String, Failure> {
     let line = |(certificate, failure): &(String, Failure)| {
-        let line = NotJudged { certificate, accepted: false, error: failure.to_string() };
+        let line = UncheckedCertificate { certificate, accepted: false, error: failure.to_string() };
         Ok(serde_json::to_string(&line).map_err(Failure::input)? + "\n")
     };
     others.iter().map(line).collect()
 }
 
 /// Which certificates are refused, if any is.
-fn refusal(all: &[CertificateReport<'_>]) -> Option<String> {
+fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     let of = |is_wanted: &dyn Fn(&CertificateReport<'_>) -> bool| {
         let paths: Vec<&str> = all.iter().filter(|one| is_wanted(one)).map(|one| one.path.as_str()).collect();
         paths.join(", ")
@@ -219,12 +219,12 @@ fn refusal(all: &[CertificateReport<'_>]) -> Option<String> {
 }
 
 /// Whether a file is the source of a network, and not what the checker reads.
-fn is_source(path: &Path) -> bool {
+fn is_network_source(path: &Path) -> bool {
     NetworkFile::is_one(path) || path.extension().is_some_and(|extension| extension == "toml")
 }
 
-fn certificate(path: &Path) -> Result<Certificate, Failure> {
-    if let Some(what) = own_file::known(path) {
+fn load_certificate(path: &Path) -> Result<Certificate, Failure> {
+    if let Some(what) = file_kind::known(path) {
         return Err(Failure::Input(format!("{}: is no certificate, but {what}", path.display())));
     }
     let file = File::open(path).map_err(|source| Failure::unreadable(path.to_owned(), source))?;

@@ -9,7 +9,7 @@ use super::simulate::Format;
 use super::{Failure, describe_fmu, output, own_file};
 use crumple_world::control::{Mapping, Output, Quantity};
 use crumple_world::network::{
-    FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, Statistics, Step, VecNormalizeTrace,
+    FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, VecNormalizeStats, Step, VecNormalizeUse,
 };
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -38,7 +38,7 @@ pub(super) struct Describe {
 }
 
 #[derive(Serialize)]
-struct Description {
+struct NetworkDescription {
     file: String,
     format: FileFormat,
     sha256: String,
@@ -50,26 +50,26 @@ struct Description {
     answer_bounds: Vec<[Option<f64>; 2]>,
     /// Of Stable-Baselines3: algorithm, version, bounds of observations and actions (none where there are none), `VecNormalize`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    model: Option<Model>,
+    model: Option<SavedModelDescription>,
     /// Whether it drives as it is, without a controller file.
     drives_as_it_is: bool,
     controller_file: String,
 }
 
 #[derive(Serialize)]
-struct Model {
+struct SavedModelDescription {
     algorithm: &'static str,
     version: Option<String>,
     observations: Vec<[Option<f32>; 2]>,
     actions: Vec<[Option<f32>; 2]>,
-    vec_normalize: VecNormalizeTrace,
+    vec_normalize: VecNormalizeUse,
     /// The file that seems to have the statistics, and what it says of observations.
     statistics: Option<String>,
     normalisation: Option<Normalisation>,
 }
 
 /// What inputs are taken for, for want of anything better, in this order.
-const GUESSES: [Quantity; 6] = [
+const DEFAULT_QUANTITIES: [Quantity; 6] = [
     Quantity::GapAheadM,
     Quantity::SpeedMps,
     Quantity::RelativeSpeedAheadMps,
@@ -84,14 +84,14 @@ impl Describe {
         if place.extension().is_some_and(|extension| extension == "fmu") {
             return describe_fmu::describe(place, self.format);
         }
-        let network = NetworkFile::load(place).map_err(|error| self.not_a_network(&error))?;
-        let statistics = network.saved_model().and_then(|_| Statistics::beside(place));
-        let normalisation = match statistics.as_deref().map(Statistics::load) {
-            Some(Statistics::OfObservations(normalisation)) => Some(normalisation),
+        let network = NetworkFile::load(place).map_err(|error| self.not_a_network_error(&error))?;
+        let statistics = network.saved_model().and_then(|_| VecNormalizeStats::beside(place));
+        let normalisation = match statistics.as_deref().map(VecNormalizeStats::load) {
+            Some(VecNormalizeStats::OfObservations(normalisation)) => Some(normalisation),
             _ => None,
         };
         let is_named = is_controller(place);
-        let model = network.saved_model().map(|saved| Model {
+        let model = network.saved_model().map(|saved| SavedModelDescription {
             algorithm: saved.algorithm,
             version: saved.version.clone(),
             observations: bounds(&saved.observations.low, &saved.observations.high),
@@ -100,7 +100,7 @@ impl Describe {
             statistics: statistics.map(|path| path.display().to_string()),
             normalisation,
         });
-        let mut description = Description {
+        let mut description = NetworkDescription {
             file: place.display().to_string(),
             format: network.format(),
             sha256: network.sha256.clone(),
@@ -121,10 +121,10 @@ impl Describe {
 
 impl Describe {
     /// Why there is nothing to describe: of what drives as it is, that.
-    fn not_a_network(&self, error: &NetworkError) -> Failure {
+    fn not_a_network_error(&self, error: &NetworkError) -> Failure {
         let place = self.file.display();
         let names_no_network = !NetworkFile::is_one(&self.file);
-        match own_file::known(&self.file) {
+        match file_kind::known(&self.file) {
             Some(what) => Failure::Input(format!("{place}: is no network from outside, but {what}")),
             None if names_no_network && is_controller(&self.file) => Failure::Input(format!(
                 "{place}: is no network from outside, but a controller as it is: name it after --controller of other commands"
@@ -141,7 +141,7 @@ fn is_controller(file: &Path) -> bool {
 }
 
 /// Bounds of single numbers; none where there is no bound.
-fn bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
+fn finite_bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
     low.iter()
         .zip(high)
         .map(|(low, high)| [*low, *high].map(|bound| Some(bound).filter(|bound| bound.is_finite())))
@@ -149,12 +149,12 @@ fn bounds(low: &[f32], high: &[f32]) -> Vec<[Option<f32>; 2]> {
 }
 
 /// Replaces infinite bounds by none.
-fn finite(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
+fn without_infinities(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
     bounds.into_iter().map(|pair| pair.map(|bound| Some(bound).filter(|bound| bound.is_finite()))).collect()
 }
 
 /// The functions between the products by name, each once, in order.
-fn functions(steps: &[Step]) -> Vec<String> {
+fn activation_names(steps: &[Step]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for step in steps {
         if let Step::Each(each) = step {
@@ -168,7 +168,7 @@ fn functions(steps: &[Step]) -> Vec<String> {
 }
 
 /// `2 numbers from -1 to 1`, or each by itself.
-fn told(bounds: &[[Option<f32>; 2]]) -> String {
+fn format_bounds(bounds: &[[Option<f32>; 2]]) -> String {
     let one = |[low, high]: &[Option<f32>; 2]| {
         let end = |bound: &Option<f32>, open: &str| bound.map_or_else(|| open.to_owned(), |bound| bound.to_string());
         format!("{} to {}", end(low, "-inf"), end(high, "inf"))
@@ -181,7 +181,7 @@ fn told(bounds: &[[Option<f32>; 2]]) -> String {
     format!("{} {noun}, {ranges}", bounds.len())
 }
 
-impl Description {
+impl NetworkDescription {
     /// What is known of it, a comment a line.
     fn comments(&self) -> String {
         let mut lines = vec![format!("{}: layers {}, {}", self.file, self.layers, self.functions.join(", "))];
@@ -191,8 +191,8 @@ impl Description {
             lines.push(format!("observation_space: {}", told(&model.observations)));
             lines.push(format!("action_space: {}", told(&model.actions)));
             let trace = match model.vec_normalize {
-                VecNormalizeTrace::None => "it was trained without, or it changed no observation",
-                VecNormalizeTrace::Behind => "it was trained behind one",
+                VecNormalizeUse::None => "it was trained without, or it changed no observation",
+                VecNormalizeUse::Behind => "it was trained behind one",
                 _ => "its file does not tell",
             };
             let statistics = model.statistics.as_ref().map(|path| format!("; `{path}` seems to have the statistics"));
@@ -212,7 +212,7 @@ impl Description {
     }
 
     /// A controller file that runs.
-    fn starter(&self, saved: Option<&SavedModel>) -> String {
+    fn draft_controller_file(&self, saved: Option<&SavedModel>) -> String {
         let own = Mapping::own();
         let model = self.model.as_ref();
         let normalisation = model.and_then(|model| model.normalisation.as_ref());
@@ -222,13 +222,13 @@ impl Description {
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
             text += "normalised = true # the inputs hold the statistics\n";
-        } else if saved.is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind) {
+        } else if saved.is_some_and(|saved| saved.trace == VecNormalizeUse::Behind) {
             // Nothing is said in the place of who knows: the file is refused until somebody does.
             text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
         }
         for index in 0..self.inputs {
             let own = own.inputs.get(index).filter(|_| self.drives_as_it_is);
-            let quantity = own.and_then(|own| own.quantity).unwrap_or(GUESSES[index % GUESSES.len()]);
+            let quantity = own.and_then(|own| own.quantity).unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
             text += &format!("\n[[inputs]]\nquantity = \"{}\" # a guess\n", quantity.name());
             let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
             let bounds = model.and_then(|model| model.observations.get(index)).copied().unwrap_or_default();
@@ -249,7 +249,7 @@ impl Description {
     }
 
     /// Returns the rest of `[output]`. A network that limits its answers itself, as by tanh at its end, needs a scale to m/s².
-    fn output(&self, own: &Output) -> String {
+    fn output_section(&self, own: &Output) -> String {
         let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
         let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
         // The space of actions is wider than what the network reaches where it cuts the mean before tanh.

@@ -11,17 +11,17 @@ use crumple_core::quoted::Terminal;
 
 /// An FMU, for programs.
 #[derive(Serialize)]
-struct DescribedFmu<'a> {
+struct FmuReport<'a> {
     file: String,
     format: &'static str,
     fmi_version: &'static str,
     model_name: &'a str,
-    variables: Vec<DescribedVariable<'a>>,
+    variables: Vec<FmuVariableReport<'a>>,
 }
 
 /// A variable of an FMU, for programs.
 #[derive(Serialize)]
-struct DescribedVariable<'a> {
+struct FmuVariableReport<'a> {
     name: &'a str,
     causality: &'static str,
     kind: &'static str,
@@ -35,12 +35,12 @@ pub(super) fn describe(file: &Path, format: Format) -> Result<(), Failure> {
     let fmu = Fmu::open(file).map_err(|error| Failure::Input(format!("{}: {error}", file.display())))?;
     let description = fmu.description();
     let words = || description.to_string().lines().map(|line| format!("{}\n", Terminal(line))).collect();
-    output::print_result(format, &DescribedFmu::new(file, description), words)
+    output::print_result(format, &FmuReport::new(file, description), words)
 }
 
-impl<'a> DescribedFmu<'a> {
+impl<'a> FmuReport<'a> {
     fn new(file: &Path, description: &'a Description) -> Self {
-        let variable = |variable: &'a Variable| DescribedVariable {
+        let variable = |variable: &'a Variable| FmuVariableReport {
             name: &variable.name,
             causality: variable.causality.name(),
             kind: variable.kind.name(),

@@ -21,7 +21,7 @@ pub(super) struct Doctor {
 
 /// What was found.
 #[derive(Serialize)]
-struct Report {
+struct DoctorReport {
     version: &'static str,
     system: &'static str,
     processor: &'static str,
@@ -39,7 +39,7 @@ struct Report {
 
 /// Something that a part of crumple needs besides itself.
 #[derive(Serialize)]
-struct Need {
+struct Dependency {
     name: &'static str,
     /// Where it is; null if it is not there.
     found: Option<String>,
@@ -51,7 +51,7 @@ struct Need {
 
 impl Doctor {
     pub(super) fn run(self) -> Result<(), Failure> {
-        let report = Report {
+        let report = DoctorReport {
             version: env!("CARGO_PKG_VERSION"),
             system: std::env::consts::OS,
             processor: std::env::consts::ARCH,
@@ -70,7 +70,7 @@ impl Doctor {
     }
 }
 
-impl Report {
+impl DoctorReport {
     fn text(&self) -> String {
         let Self { version, system, processor, register_bits, fused_multiply_add, threads, .. } = self;
         let mut text = format!(
@@ -99,7 +99,7 @@ impl Report {
     }
 }
 
-fn needs() -> Vec<Need> {
+fn dependencies() -> Vec<Need> {
     let python = ["python3", "python"].into_iter().find_map(program);
     let module = |name: &str| {
         let python = python.as_ref()?;
@@ -110,7 +110,7 @@ fn needs() -> Vec<Need> {
     vec![
         Need {
             name: "crumple-fmu",
-            found: shown(crumple_world::control::fmu_host()),
+            found: shown(crumple_world::control::find_fmu_host()),
             used_for: "FMUs as controllers",
             install: "cargo install crumple brings it; CRUMPLE_FMU may say where it is",
         },
@@ -154,7 +154,7 @@ fn needs() -> Vec<Need> {
 }
 
 /// A program on the `PATH`.
-fn program(name: &str) -> Option<PathBuf> {
+fn find_program(name: &str) -> Option<PathBuf> {
     let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path)
@@ -175,7 +175,7 @@ fn is_program(path: &Path) -> bool {
 }
 
 /// What a program prints, if it succeeds.
-fn printed(command: &mut Command) -> Option<String> {
+fn program_output(command: &mut Command) -> Option<String> {
     let done = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     done.status.success().then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())
 }

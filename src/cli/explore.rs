@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_explore::{Offer, OfferedScenario, ServeError, Server};
+use crumple_explore::{Offer, CatalogScenario, ServeError, Server};
 use serde::Serialize;
 
 use super::simulate::Format;
@@ -32,10 +32,10 @@ pub(super) struct Explore {
     #[arg(long, value_name = "N", default_value_t = 0)]
     port: u16,
     /// Controller to begin with (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4, side by side
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: Vec<NamedController>,
     /// What the vehicles under test look through at first
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Folder in which scenarios can be saved, beside being downloaded
     #[arg(long, value_name = "DIR")]
@@ -66,8 +66,8 @@ impl Explore {
                 offer.campaigns.push(name.into());
                 continue;
             }
-            let scenario = subject::scenario(&name)?;
-            offer.scenarios.push(OfferedScenario { name, scenario });
+            let scenario = args::scenario(&name)?;
+            offer.scenarios.push(CatalogScenario { name, scenario });
         }
         let server = Server::bind(self.port, offer)?;
         let (address, port) = (server.address(), server.port());

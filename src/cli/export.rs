@@ -10,7 +10,7 @@ use super::simulate::Format;
 use super::{Failure, choice, output, subject};
 use crumple_core::quoted::Terminal;
 use crumple_report::export::openscenario::{self, OpenScenario};
-use crumple_search::falsify::counterexample::VerdictRecords;
+use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in};
@@ -39,19 +39,19 @@ pub(super) struct Export {
     scenarios: Vec<String>,
     /// The format
     #[arg(long, value_enum, value_name = "FORMAT")]
-    to: Target,
+    to: ExportFormat,
     /// What is written
     #[arg(long = "as", value_enum, value_name = "WHAT", default_value = "trajectories")]
-    what: What,
+    what: ExportContent,
     /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one that a
     /// counterexample is recorded with, `baseline` in built-in scenarios; needed in all other scenarios with a vehicle under test]
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: Option<NamedController>,
     /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
-    #[arg(long, value_name = "ESTIMATOR", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: Option<EstimatorKind>,
     /// What happens when vehicles touch
-    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
     after_contact: AfterContact,
     /// Folder for the files, made if it is not there; `exported.sha256` lists them. Files that crumple wrote there and that have not changed
     /// are replaced, all others stay
@@ -64,7 +64,7 @@ pub(super) struct Export {
 
 /// What was written of a scenario.
 #[derive(Serialize)]
-struct Exported {
+struct ExportedScenario {
     scenario: String,
     /// The files.
     openscenario: String,
@@ -77,20 +77,20 @@ struct Exported {
 }
 
 /// What drives the vehicles under test.
-struct Driven {
+struct ExportController {
     controller: NamedController,
     estimator: EstimatorKind,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Target {
+enum ExportFormat {
     /// ASAM OpenSCENARIO XML 1.2, with OpenDRIVE 1.7
     #[value(name = "openscenario")]
     OpenScenario,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum What {
+enum ExportContent {
     /// What every vehicle did
     Trajectories,
     /// What the scripted vehicles do
@@ -99,15 +99,15 @@ enum What {
 
 impl Export {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let Target::OpenScenario = self.to;
-        if self.what == What::Actions && self.controller.is_some() {
+        let ExportFormat::OpenScenario = self.to;
+        if self.what == ExportContent::Actions && self.controller.is_some() {
             let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
             return Err(Failure::Input(problem.to_owned()));
         }
         let folder = OutputFolder::listed(&self.out, "exported.sha256")?;
         let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for given in &self.scenarios {
-            let scenario = subject::scenario(given)?;
+            let scenario = args::scenario(given)?;
             let name = stem(&scenario.spec().name);
             if names.contains(&name) {
                 let problem = "would be written over another of these: export them into folders of their own";
@@ -117,7 +117,7 @@ impl Export {
             let driven = self.driven(given, &scenario)?;
             let made = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
-            exported.push(Exported {
+            exported.push(ExportedScenario {
                 scenario: scenario.spec().name.clone(),
                 openscenario: self.out.join(&storyboard).display().to_string(),
                 opendrive: self.out.join(&road).display().to_string(),
@@ -130,7 +130,7 @@ impl Export {
             names.push(name);
         }
         folder.write(&written, EarlierFiles::Stay)?;
-        let line = |one: &Exported| {
+        let line = |one: &ExportedScenario| {
             let under = match (&one.controller, one.estimator) {
                 (Some(controller), Some(estimator)) => {
                     format!(", under {}, estimator {estimator}", Terminal(controller))
@@ -144,12 +144,12 @@ impl Export {
 
     /// Returns what drives the vehicles under test: what the user names, or else what a counterexample is recorded with. None where no
     /// vehicle is under test, or where that is left to the user.
-    fn driven(&self, given: &str, scenario: &Scenario) -> Result<Option<Driven>, Failure> {
-        if self.what == What::Actions || !scenario.has_vehicle_under_test() {
+    fn controller_setup(&self, given: &str, scenario: &Scenario) -> Result<Option<ExportController>, Failure> {
+        if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
         }
         let driven = |controller, estimator: Option<EstimatorKind>| {
-            Ok(Some(Driven { controller, estimator: self.estimator.or(estimator).unwrap_or_default() }))
+            Ok(Some(ExportController { controller, estimator: self.estimator.or(estimator).unwrap_or_default() }))
         };
         if let Some(controller) = &self.controller {
             return driven(controller.clone(), None);
@@ -157,7 +157,7 @@ impl Export {
         if built_in(given).is_some() {
             return driven(NamedController::find("baseline", Path::new("")).map_err(Failure::input)?, None);
         }
-        let mut records = VerdictRecords::default();
+        let mut records = VerdictRecordReader::default();
         let Some(recorded) = records.about(Path::new(given))? else {
             let problem = "no record says which controller it is about: name one with --controller";
             return Err(Failure::Input(format!("{given}: {problem}")));
@@ -185,13 +185,13 @@ impl Export {
     fn export(
         &self,
         scenario: &Scenario,
-        driven: Option<&Driven>,
+        driven: Option<&ExportController>,
         road: &str,
         quiet: bool,
     ) -> Result<OpenScenario, Failure> {
         let name = &scenario.spec().name;
         let failed = |error: &dyn std::fmt::Display| Failure::Input(format!("{name}: {error}"));
-        if self.what == What::Actions {
+        if self.what == ExportContent::Actions {
             return openscenario::actions(scenario, road).map_err(|error| failed(&error));
         }
         // Without a vehicle under test, the controller has no effect.
@@ -212,7 +212,7 @@ impl Export {
 }
 
 /// A scenario's name as that of a file.
-fn stem(name: &str) -> String {
+fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
     name.chars().map(plain).take(60).collect()
 }

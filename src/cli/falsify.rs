@@ -9,13 +9,13 @@ use super::simulate::Format;
 use super::{Failure, choice, interrupt, output, progress, subject};
 use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignOptions, CampaignProgress, Log, MergedCampaign, MethodSummary, ShardDone, Summary,
+    Aim, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardDone, Summary,
 };
-use crumple_search::falsify::{Contrast, Method, Relation, non_finite};
+use crumple_search::falsify::{FailureCriterion, Method, Relation, non_finite};
 use crumple_store::shard::Shard;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{Space, UnknownSpace, find_space};
+use crumple_world::scenario::space::{Space, FindSpaceError, find_space};
 use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
@@ -53,7 +53,7 @@ Examples:
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk")]
@@ -74,24 +74,24 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
     /// Only what this other controller passes counts as a failure
-    #[arg(long, value_name = "CONTROLLER", value_parser = subject::controller, conflicts_with = "metamorphic")]
+    #[arg(long, value_name = "CONTROLLER", value_parser = args::controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
     /// Only what the controller passes with less of this counts: `larger-gap=M` (everybody ahead starts M metres further away) or
     /// `more-friction=F`
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<Relation>,
     /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// What is kept of every evaluation [default: full; of a shard, summary]
-    #[arg(long, value_name = "L", value_parser = choice::one_of(choice::LOGS))]
-    log: Option<Log>,
+    #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]
+    log: Option<EvaluationLog>,
     /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
     /// Make the search a gate: exit code 1 unless it found a failure, or nothing
     #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
-    expect: Option<Expectation>,
+    expect: Option<SearchExpectation>,
     /// Folder of the campaign; made if it is not there [default: crumple-campaign; of a shard, crumple-campaign-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -104,16 +104,16 @@ pub(super) struct Falsify {
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Expectation {
+enum SearchExpectation {
     /// Some method found a failure
     Failure,
     /// No method found any
     Nothing,
 }
 
-impl Expectation {
+impl SearchExpectation {
     /// Whether it came so; a search that found nothing has shown nothing but how hard it looked, which the gate says.
-    fn is_met(self, summary: &Summary) -> Result<(), Failure> {
+    fn check(self, summary: &Summary) -> Result<(), Failure> {
         let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
         match (self, summary.falsified) {
             (Self::Failure, false) => {
@@ -148,7 +148,7 @@ impl Expectation {
 
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        if let (Some(shard), Some(Log::Full)) = (self.shard, self.log) {
+        if let (Some(shard), Some(EvaluationLog::Full)) = (self.shard, self.log) {
             let problem = "a shard keeps no log, so that it is four files: leave --log away, or --shard";
             return Err(Failure::Input(format!("--log: shard {shard}: {problem}")));
         }
@@ -158,13 +158,13 @@ impl Falsify {
         });
         let space = space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification = subject::specification(&self.spec, &nominal, quiet)?;
+        let specification = args::specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            contrast: self.against.map(Contrast::Against).or(self.metamorphic.map(Contrast::Metamorphic)),
+            contrast: self.against.map(FailureCriterion::Against).or(self.metamorphic.map(FailureCriterion::Metamorphic)),
             method: self.method,
             aim: self.aim,
             budget: self.budget,
@@ -176,7 +176,7 @@ impl Falsify {
             None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
         };
         interrupt::says(again, quiet);
-        output::note_beginning(self.resume, &out, quiet);
+        output::note_nothing_to_resume(self.resume, &out, quiet);
         let part = match self.shard {
             None => self.budget,
             Some(shard) => {
@@ -196,8 +196,8 @@ impl Falsify {
             bar.finish_and_clear();
             return made(shard, done?, &out, self.format);
         }
-        let log = self.log.unwrap_or(Log::Full);
-        let kept = if log == Log::Full { ", evaluations" } else { "" };
+        let log = self.log.unwrap_or(EvaluationLog::Full);
+        let kept = if log == EvaluationLog::Full { ", evaluations" } else { "" };
         let summary = campaign.run(&out, CampaignOptions { log, resume: self.resume }, &observer);
         bar.finish_and_clear();
         let summary = summary?;
@@ -209,7 +209,7 @@ impl Falsify {
 }
 
 /// Says what came of a shard.
-fn made(shard: Shard, done: ShardDone, out: &Path, format: Format) -> Result<(), Failure> {
+fn print_shard_summary(shard: Shard, done: ShardDone, out: &Path, format: Format) -> Result<(), Failure> {
     let words = || {
         format!(
             "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
@@ -259,13 +259,15 @@ pub(super) fn merge(
 struct SummaryReport<'a> {
     #[serde(flatten)]
     summary: &'a Summary,
-    of_method_asked_for: Option<&'a MethodSummary>,
-    of_all_methods: OfAllMethods,
+    #[serde(rename = "of_method_asked_for")]
+    requested_method: Option<&'a MethodSummary>,
+    #[serde(rename = "of_all_methods")]
+    all_methods: AllMethodsSummary,
 }
 
 /// What the method that was asked for and the reference searches found together.
 #[derive(Serialize)]
-struct OfAllMethods {
+struct AllMethodsSummary {
     methods: usize,
     evaluations: u64,
     /// Evaluations that failed.
@@ -278,10 +280,10 @@ struct OfAllMethods {
 }
 
 impl<'a> SummaryReport<'a> {
-    fn of(summary: &'a Summary) -> Self {
+    fn new(summary: &'a Summary) -> Self {
         let methods = &summary.methods;
         let best_robustness = methods.iter().filter_map(|method| method.best_robustness).reduce(f64::min);
-        let of_all_methods = OfAllMethods {
+        let of_all_methods = AllMethodsSummary {
             methods: methods.len(),
             evaluations: methods.iter().map(|method| method.evaluations).sum(),
             failures: methods.iter().map(|method| method.failures).sum(),
@@ -293,21 +295,21 @@ impl<'a> SummaryReport<'a> {
     }
 }
 
-fn print(summary: &Summary, format: Format) -> Result<(), Failure> {
+fn print_summary(summary: &Summary, format: Format) -> Result<(), Failure> {
     output::print_result(format, &SummaryReport::of(summary), || summary.to_text())
 }
 
-fn failures(count: u64) -> String {
+fn format_failure_count(count: u64) -> String {
     format!("{count} failure{}", if count == 1 { "" } else { "s" })
 }
 
 /// A built-in space, or the one in a file.
-fn space(name: &str) -> Result<Space, Failure> {
+fn load_space(name: &str) -> Result<Space, Failure> {
     if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
         return Err(Failure::Input(format!("{name}: a space file ends in .toml")));
     }
     find_space(name).map_err(|error| match error {
-        UnknownSpace::File(error) => error.into(),
+        FindSpaceError::File(error) => error.into(),
         other => Failure::input(other),
     })
 }

@@ -26,7 +26,7 @@ pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
 
 impl Feature {
     /// Returns the command that installs crumple with the feature, from a clone.
-    pub(super) fn command(&self) -> String {
+    pub(super) fn install_command(&self) -> String {
         format!("cargo install --locked --path . --features {}", self.name)
     }
 
@@ -63,12 +63,12 @@ pub(super) fn require_format(extension: &str) -> Result<(), String> {
 /// # Errors
 /// [`Failure::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
 #[cfg(feature = "png")]
-pub(super) fn png(figure: &Svg) -> Result<Vec<u8>, Failure> {
+pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, Failure> {
     figure.to_png(crumple_report::draw::PNG_SCALE).map_err(Failure::input)
 }
 
 #[cfg(not(feature = "png"))]
-pub(super) fn png(_: &Svg) -> Result<Vec<u8>, Failure> {
+pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, Failure> {
     PNG.require().map_err(Failure::Input).map(|()| Vec::new())
 }
 
@@ -77,11 +77,11 @@ pub(super) fn png(_: &Svg) -> Result<Vec<u8>, Failure> {
 /// # Errors
 /// [`Failure::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
 #[cfg(feature = "parquet")]
-pub(super) fn parquet(trace: &Trace) -> Result<Vec<u8>, Failure> {
+pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, Failure> {
     crumple_report::export::parquet(trace).map_err(Failure::input)
 }
 
 #[cfg(not(feature = "parquet"))]
-pub(super) fn parquet(_: &Trace) -> Result<Vec<u8>, Failure> {
+pub(super) fn encode_parquet(_: &Trace) -> Result<Vec<u8>, Failure> {
     PARQUET.require().map_err(Failure::Input).map(|()| Vec::new())
 }

@@ -13,7 +13,7 @@ use super::simulate::{Format, ending_in};
 use super::{Failure, choice, output};
 use crumple_core::digits;
 use crumple_core::quoted::Terminal;
-use crumple_evidence::fit::{FamilyFit, Fitted, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
+use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
 use crumple_report::figures;
 use crumple_store::disk::Files;
 use crumple_world::recording::map::RecordingMap;
@@ -45,7 +45,7 @@ pub(super) struct Fit {
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
     /// Whose braking makes an episode
-    #[arg(long, default_value = "any", value_parser = choice::one_of(choice::LEADERS))]
+    #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: Leaders,
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
@@ -77,7 +77,7 @@ pub(super) struct Fit {
 }
 
 /// A path that a space will be known by.
-fn space_file(path: &str) -> Result<PathBuf, String> {
+fn parse_space_path(path: &str) -> Result<PathBuf, String> {
     if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
 }
 
@@ -108,11 +108,11 @@ impl Fit {
             stage_unless_edited(&mut files, path, &picture(&figures::fitted(&fitted), path)?, self.force)?;
         }
         files.commit()?;
-        output::print_result(self.format, &as_json(&sample, &fitted), || in_words(&sample, &fitted))
+        output::print_result(self.format, &to_json(&sample, &fitted), || in_words(&sample, &fitted))
     }
 }
 
-fn as_json(sample: &Sample, fitted: &Fitted) -> serde_json::Value {
+fn to_json(sample: &Sample, fitted: &FittedSpace) -> serde_json::Value {
     json!({
         "space": fitted.space.name(),
         "exposure": sample.exposure,
@@ -125,18 +125,18 @@ fn as_json(sample: &Sample, fitted: &Fitted) -> serde_json::Value {
     })
 }
 
-fn waves(sample: &Sample) -> u32 {
+fn cluster_count(sample: &Sample) -> u32 {
     sample.observed.waves.iter().max().map_or(0, |last| last + 1)
 }
 
-fn in_words(sample: &Sample, fitted: &Fitted) -> String {
+fn format_fit(sample: &Sample, fitted: &FittedSpace) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    let _ = write_words(sample, fitted, &mut text);
+    let _ = write_fit(sample, fitted, &mut text);
     text
 }
 
-fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::Result {
+fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
     let Sample { exposure, taken, left_out, sizes, outside_by, .. } = sample;
     let waves = waves(sample);
     writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
@@ -155,7 +155,7 @@ fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::
     }
     sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.in_words(index)))?;
     for number in &fitted.numbers {
-        write_number(number, out)?;
+        write_feature(number, out)?;
     }
     for FittedSize { name, values, .. } in &fitted.sizes {
         let each = values.iter().map(|value| {
@@ -177,7 +177,7 @@ fn write_words(sample: &Sample, fitted: &Fitted, out: &mut String) -> std::fmt::
     )
 }
 
-fn write_number(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
+fn write_feature(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
     let FittedNumber { name, unit, point_mass, chosen, others, impossible, goodness, tails, sorted, .. } = number;
     let unit = if *unit == "1" { "" } else { unit };
     writeln!(out, "\n{name}: {}, {}", chosen.family.name(), estimates(chosen))?;
@@ -214,7 +214,7 @@ fn write_number(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
 }
 
 /// The parameters of a fit and their intervals.
-fn estimates(fit: &FamilyFit) -> String {
+fn format_estimates(fit: &FamilyFit) -> String {
     let of = |which: usize| {
         let estimate = format!("{} {:.4}", fit.names[which], fit.estimates[which]);
         match fit.intervals_95 {

@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::assess::{EVIDENCE, LISTING};
+use super::assess::{EVIDENCE, LISTING_FILE};
 use super::simulate::Format;
 use super::{Failure, output};
 use crumple_core::quoted::Terminal;
 use crumple_report::assessment::REPORT;
-use crumple_search::falsify::campaign::{CAMPAIGN, Divided, with_journal};
+use crumple_search::falsify::campaign::{CAMPAIGN, Sharding, with_journal};
 use crumple_store::work::{Examined, examine, is_there};
 
 /// Look at folders of work: is every file what was written there?
@@ -41,7 +41,7 @@ pub(super) struct Fsck {
 
 /// What was found in a folder, for programs.
 #[derive(Serialize)]
-struct Found {
+struct FolderReport {
     folder: String,
     /// Why it could not be looked at, if it could not.
     error: Option<String>,
@@ -52,8 +52,10 @@ struct Found {
     files: usize,
     damaged: Vec<DamagedFile>,
     /// What lies where nothing but the work may be, and beside it.
-    strangers: Vec<String>,
-    beside: Vec<String>,
+    #[serde(rename = "strangers")]
+    unlisted_files: Vec<String>,
+    #[serde(rename = "beside")]
+    other_files: Vec<String>,
     missing_evaluations: u64,
 }
 
@@ -63,7 +65,7 @@ struct DamagedFile {
     problem: String,
 }
 
-impl Found {
+impl FolderReport {
     /// Of what cannot be looked at.
     fn unreadable(folder: &Path, failure: &Failure) -> Self {
         Self {
@@ -81,7 +83,7 @@ impl Found {
         }
     }
 
-    fn of(folder: &Path, found: &Examined, missing_evaluations: u64) -> Self {
+    fn new(folder: &Path, found: &Examined, missing_evaluations: u64) -> Self {
         let damaged = found.files.iter().filter_map(|(name, state)| {
             let problem = state.as_ref().err()?.clone();
             Some(DamagedFile { name: name.clone(), problem })
@@ -105,10 +107,10 @@ impl Found {
 impl Fsck {
     pub(super) fn run(self) -> Result<(), Failure> {
         let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), None);
-        for folder in self.folders.iter().flat_map(|folder| seeds_in(folder)) {
+        for folder in self.folders.iter().flat_map(|folder| run_folders_in(folder)) {
             let found = Self::look(&folder, &mut text).unwrap_or_else(|failure| {
                 text += &format!("{}\n", Terminal(&failure.to_string()));
-                let found = Found::unreadable(&folder, &failure);
+                let found = FolderReport::unreadable(&folder, &failure);
                 unreadable.get_or_insert(failure);
                 found
             });
@@ -116,9 +118,9 @@ impl Fsck {
         }
         let printed = match self.format {
             Format::Json => output::print_json(&all),
-            Format::Text => output::print_for(Format::Text, &text),
+            Format::Text => output::print_coloured(Format::Text, &text),
         };
-        let folders = |is_wanted: &dyn Fn(&Found) -> bool| -> String {
+        let folders = |is_wanted: &dyn Fn(&FolderReport) -> bool| -> String {
             let folders: Vec<&str> =
                 all.iter().filter(|found| is_wanted(found)).map(|found| found.folder.as_str()).collect();
             folders.join(", ")
@@ -134,7 +136,7 @@ impl Fsck {
     }
 
     /// What there is in a folder; the text says it to a reader.
-    fn look(folder: &Path, text: &mut String) -> Result<Found, Failure> {
+    fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, Failure> {
         if !is_there(folder) {
             let problem = "no folder of work: it holds no work.json";
             return Err(Failure::Input(format!("{}: {problem}", folder.display())));
@@ -142,18 +144,18 @@ impl Fsck {
         let mut found = with_journal(folder, examine(folder)?)?;
         if found.kind == REPORT {
             // Both are for the next report, and have hashes of their own.
-            found.beside.retain(|name| name != EVIDENCE && name != LISTING);
+            found.beside.retain(|name| name != EVIDENCE && name != LISTING_FILE);
         }
         // A part of a campaign is as it was written, and yet is not all of it.
-        let part = Divided::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
+        let part = Sharding::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
         let missing = part.map_or(0, |part| part.missing());
         *text += &described(folder, &found, missing);
-        Ok(Found::of(folder, &found, missing))
+        Ok(FolderReport::of(folder, &found, missing))
     }
 }
 
 /// The folders of work in a folder of trainings, one a seed; of any other, itself.
-fn seeds_in(folder: &Path) -> Vec<PathBuf> {
+fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
     let is_seed = |path: &PathBuf| {
         path.is_dir() && path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
     };
@@ -163,7 +165,7 @@ fn seeds_in(folder: &Path) -> Vec<PathBuf> {
     if seeds.is_empty() || is_there(folder) { vec![folder.to_owned()] } else { seeds }
 }
 
-fn described(folder: &Path, found: &Examined, missing_evaluations: u64) -> String {
+fn format_report(folder: &Path, found: &Examined, missing_evaluations: u64) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
     let part =
         format!("put together without {missing_evaluations} evaluations of each method, whose shards were missing");

@@ -17,7 +17,7 @@ use crumple_report::figures;
 use crumple_store::disk::{DiskError, Files};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    ImportOptions, Imported, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,
+    ImportOptions, ImportResult, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,
     preview,
 };
 
@@ -50,7 +50,7 @@ pub(super) struct Import {
           conflicts_with_all = ["out", "leaders", "min_brake"])]
     preview: Option<PathBuf>,
     /// Whose braking makes an episode
-    #[arg(long, default_value = "any", value_parser = choice::one_of(choice::LEADERS))]
+    #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: Leaders,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
@@ -68,7 +68,7 @@ pub(super) struct Import {
 
 /// What was understood of a recording, for programs.
 #[derive(Serialize)]
-struct Understood<'a> {
+struct RecordingSummary<'a> {
     recording: &'a str,
     format: &'a str,
     leads: usize,
@@ -84,24 +84,24 @@ struct Understood<'a> {
 
 /// What an import came to, for programs.
 #[derive(Serialize)]
-struct ImportedAll {
+struct ImportReport {
     /// Scenario files.
     scenarios: Vec<String>,
-    recordings: Vec<ImportedOne>,
+    recordings: Vec<RecordingImport>,
     left_out: Vec<String>,
 }
 
 #[derive(Serialize)]
-struct ImportedOne {
+struct RecordingImport {
     recording: String,
     format: String,
     scenarios: usize,
     hardest_braking: String,
 }
 
-impl ImportedAll {
-    fn of(imported: &Imported, out: &Path) -> Self {
-        let one = |source: &Source| ImportedOne {
+impl ImportReport {
+    fn new(imported: &ImportResult, out: &Path) -> Self {
+        let one = |source: &Source| RecordingImport {
             recording: source.path.display().to_string(),
             format: source.format.name().to_owned(),
             scenarios: source.scenarios,
@@ -117,13 +117,13 @@ impl ImportedAll {
 }
 
 /// The threshold of the option `--min-brake`.
-pub(super) fn min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, Failure> {
+pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, Failure> {
     let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
     MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))
 }
 
 /// A picture as the file's name wants it: PNG, or else SVG.
-pub(super) fn picture(drawn: &Svg, path: &Path) -> Result<Vec<u8>, Failure> {
+pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, Failure> {
     match path.extension() {
         Some(png) if png == "png" => feature::png(drawn),
         _ => Ok(drawn.document().into_bytes()),
@@ -140,7 +140,7 @@ impl Import {
     }
 
     /// What was understood, in words and as a picture.
-    fn show(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
+    fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
         let [path] = self.recordings.as_slice() else {
             return Err(Failure::Input("--preview: shows one recording at a time".to_owned()));
         };
@@ -157,7 +157,7 @@ impl Import {
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
         if self.format == Format::Json {
-            return output::print_json(&Understood {
+            return output::print_json(&RecordingSummary {
                 recording: &name,
                 format: recording.format.name(),
                 leads: seen.leads,
@@ -193,7 +193,7 @@ impl Import {
             let words: Vec<_> = words.collect();
             let none = format!("no episode of {} m/s² that makes a scenario; {}", min_brake.mps2(), words.join("; "));
             let printed = match self.format {
-                Format::Json => output::print_json(&ImportedAll::of(&imported, &self.out)),
+                Format::Json => output::print_json(&ImportReport::of(&imported, &self.out)),
                 Format::Text => Ok(()),
             };
             return Failure::gate_first(Err(Failure::Gate(none)), printed);
@@ -201,7 +201,7 @@ impl Import {
         let file = |scenario: &ImportedScenario| (scenario.file_name.clone(), scenario.toml.clone().into_bytes());
         let files: Vec<_> = imported.scenarios.iter().map(file).collect();
         OutputFolder::unlisted(&self.out, self.force).write(&files, EarlierFiles::Stay)?;
-        let others = self.other_scenarios(&imported)?;
+        let others = self.count_other_scenarios(&imported)?;
         if others > 0 {
             let out = self.out.display();
             output::note(&format!("note: {out} also holds {others} scenario files that are not of this import"), quiet);
@@ -215,11 +215,11 @@ impl Import {
             format!("{}: {} scenario{plural} ({format})\n", Terminal(&path), source.scenarios)
         };
         let words = || imported.sources.iter().map(line).collect();
-        output::print_result(self.format, &ImportedAll::of(&imported, &self.out), words)
+        output::print_result(self.format, &ImportReport::of(&imported, &self.out), words)
     }
 
     /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
-    fn other_scenarios(&self, imported: &Imported) -> Result<usize, Failure> {
+    fn count_other_scenarios(&self, imported: &ImportResult) -> Result<usize, Failure> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);
         let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");

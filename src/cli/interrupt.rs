@@ -4,7 +4,7 @@
 /// that lose nothing by that: whatever they have done is on disk.
 ///
 /// Where no handler can be set, an interruption ends the program without a word, and as safely.
-pub(super) fn says(message: String, quiet: bool) {
+pub(super) fn set_exit_message(message: String, quiet: bool) {
     #[cfg(unix)]
     {
         use signal_hook::consts::SIGINT;
@@ -16,7 +16,7 @@ pub(super) fn says(message: String, quiet: bool) {
                 // A progress bar may be in the line.
                 super::output::note("", quiet);
                 super::output::note(&format!("interrupted: {message}"), quiet);
-                std::process::exit(INTERRUPTED);
+                std::process::exit(INTERRUPTED_EXIT_CODE);
             }
         });
     }
@@ -26,7 +26,7 @@ pub(super) fn says(message: String, quiet: bool) {
 
 /// From now on a file that grows beyond what the system allows (`ulimit -f`) is an error, as a full disk is, and not the end of the
 /// program.
-pub(super) fn limits_are_errors() {
+pub(super) fn ignore_file_size_signal() {
     #[cfg(unix)]
     {
         let unread = std::sync::Arc::default();
@@ -37,4 +37,4 @@ pub(super) fn limits_are_errors() {
 
 /// Exit code of a command that was interrupted.
 #[cfg(unix)]
-const INTERRUPTED: i32 = 130;
+const INTERRUPTED_EXIT_CODE: i32 = 130;

@@ -12,11 +12,11 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_names;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
 
-const SHIELD: (&str, &str) =
+const SHIELD_ENTRY: (&str, &str) =
     ("shield:policy", "policy, or full braking where it would leave no way out; shield: goes before any controller");
 
 /// What is no name, for a reader alone.
-const FILES: (&str, &str) = (
+const FILE_ENTRY: (&str, &str) = (
     "FILE",
     "a policy, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), or a controller file (F.toml) that says what any sees and \
      answers: docs/controllers.md; `crumple describe F.zip` begins one",
@@ -26,7 +26,7 @@ const FILES: (&str, &str) = (
 ///
 /// `crumple show NAME` prints a scenario, a space, a preset, a suite or a map as a file.
 #[derive(Args)]
-pub(super) struct List {
+pub(super) struct ListCommand {
     /// What to list; everything if nothing is named
     what: Option<Catalogue>,
     /// How to print
@@ -47,7 +47,7 @@ enum Catalogue {
 }
 
 #[derive(Serialize)]
-struct Entry {
+struct CatalogueEntry {
     name: &'static str,
     summary: String,
 }
@@ -75,7 +75,7 @@ impl Catalogue {
                         if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
                     Entry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
                 });
-                own.chain([entry(SHIELD)]).collect()
+                own.chain([entry(SHIELD_ENTRY)]).collect()
             }
             Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
@@ -83,7 +83,7 @@ impl Catalogue {
     }
 }
 
-impl List {
+impl ListCommand {
     pub(super) fn run(self) -> Result<(), Failure> {
         let catalogues = match self.what {
             Some(one) => vec![one],
@@ -95,7 +95,7 @@ impl List {
     }
 }
 
-fn table(catalogues: &[Catalogue]) -> String {
+fn format_catalogues(catalogues: &[Catalogue]) -> String {
     let mut text = String::new();
     for (index, catalogue) in catalogues.iter().enumerate() {
         if catalogues.len() > 1 {

@@ -9,15 +9,15 @@ use super::simulate::Format;
 use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
-use crumple_evidence::exposed::ExposedRate;
-use crumple_evidence::rare::{MergedEstimate, SHARD_OF_AN_ESTIMATE};
-use crumple_evidence::{MergedCount, SHARD_OF_A_COUNT, SoFar};
+use crumple_evidence::exposure::ExposedRate;
+use crumple_evidence::rare::{MergedEstimate, ESTIMATE_SHARD_KIND};
+use crumple_evidence::{MergedCount, COUNT_SHARD_KIND, SoFar};
 use crumple_learn::rl::{MergedTrainings, is_of_trainings};
-use crumple_report::assessment::{MergedEvidence, SHARD_OF_AN_ASSESSMENT};
-use crumple_search::falsify::campaign::{MergedCampaign, SHARD_OF_A_CAMPAIGN};
+use crumple_report::assessment::{MergedEvidence, ASSESSMENT_SHARD_KIND};
+use crumple_search::falsify::campaign::{MergedCampaign, CAMPAIGN_SHARD_KIND};
 use crumple_store::shard::{MergeError, as_array};
 use crumple_store::work::{Finished, Found, find};
-use crumple_suites::{MergedSuite, SHARD_OF_A_SUITE};
+use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 
 /// Put shards together that were made on several machines (see --shard)
 #[derive(Args)]
@@ -77,7 +77,7 @@ enum MergeFormat {
 }
 
 impl MergeFormat {
-    fn of_suite(self) -> suite::Format {
+    fn suite_format(self) -> suite::Format {
         match self {
             Self::Text => suite::Format::Text,
             Self::Json => suite::Format::Json,
@@ -88,21 +88,21 @@ impl MergeFormat {
 }
 
 /// The most folders that are read.
-const MOST_FOLDERS: usize = 100_000;
+const MAX_FOLDERS: usize = 100_000;
 /// Missing ranges that are printed.
-const MOST_RANGES: usize = 20;
+const MAX_PRINTED_RANGES: usize = 20;
 
 /// What a folder holds.
-enum Shard {
+enum ShardFolder {
     /// A part of trainings, finished or not: each seed has a folder of its own.
     Trainings,
     /// Any other, finished.
     Finished(Finished),
 }
 
-impl Shard {
+impl ShardFolder {
     /// What could be merged, or why there is nothing yet.
-    fn in_folder(folder: &Path) -> Result<Result<Self, String>, Failure> {
+    fn open(folder: &Path) -> Result<Result<Self, String>, Failure> {
         if is_of_trainings(folder) {
             return Ok(Ok(Self::Trainings));
         }
@@ -121,10 +121,10 @@ impl Shard {
     }
 }
 
-const TRAININGS: &str = "shard of trainings";
+const SHARD_OF_TRAININGS: &str = "shard of trainings";
 
 /// Shards of one work.
-enum Merged {
+enum AnyMerged {
     Count(MergedCount),
     Estimate(Box<MergedEstimate>),
     Campaign(Box<MergedCampaign>),
@@ -133,18 +133,18 @@ enum Merged {
     Trainings(Box<MergedTrainings>),
 }
 
-impl Merged {
-    fn of(folder: &Path, shard: &Shard) -> Result<Self, Failure> {
+impl AnyMerged {
+    fn from_shard(folder: &Path, shard: &ShardFolder) -> Result<Self, Failure> {
         let found = match shard {
-            Shard::Finished(found) => found,
-            Shard::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::of(folder)?))),
+            ShardFolder::Finished(found) => found,
+            ShardFolder::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::of(folder)?))),
         };
         Ok(match found.kind() {
-            SHARD_OF_A_COUNT => Self::Count(MergedCount::of(folder, found)?),
-            SHARD_OF_AN_ESTIMATE => Self::Estimate(Box::new(MergedEstimate::of(folder, found)?)),
-            SHARD_OF_A_CAMPAIGN => Self::Campaign(Box::new(MergedCampaign::of(folder, found)?)),
-            SHARD_OF_A_SUITE => Self::Suite(Box::new(MergedSuite::of(folder, found)?)),
-            SHARD_OF_AN_ASSESSMENT => Self::Assessment(Box::new(MergedEvidence::of(folder, found)?)),
+            COUNT_SHARD_KIND => Self::Count(MergedCount::of(folder, found)?),
+            ESTIMATE_SHARD_KIND => Self::Estimate(Box::new(MergedEstimate::of(folder, found)?)),
+            CAMPAIGN_SHARD_KIND => Self::Campaign(Box::new(MergedCampaign::of(folder, found)?)),
+            SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::of(folder, found)?)),
+            ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::of(folder, found)?)),
             kind => {
                 let problem = format!("{}: a {kind}, and no shard that can be merged", folder.display());
                 return Err(Failure::Input(problem));
@@ -154,25 +154,25 @@ impl Merged {
 
     fn kind(&self) -> &'static str {
         match self {
-            Self::Count(_) => SHARD_OF_A_COUNT,
-            Self::Estimate(_) => SHARD_OF_AN_ESTIMATE,
-            Self::Campaign(_) => SHARD_OF_A_CAMPAIGN,
-            Self::Suite(_) => SHARD_OF_A_SUITE,
-            Self::Assessment(_) => SHARD_OF_AN_ASSESSMENT,
+            Self::Count(_) => COUNT_SHARD_KIND,
+            Self::Estimate(_) => ESTIMATE_SHARD_KIND,
+            Self::Campaign(_) => CAMPAIGN_SHARD_KIND,
+            Self::Suite(_) => SUITE_SHARD_KIND,
+            Self::Assessment(_) => ASSESSMENT_SHARD_KIND,
             Self::Trainings(_) => TRAININGS,
         }
     }
 
-    fn take(&mut self, folder: &Path, shard: &Shard) -> Result<(), Failure> {
+    fn add_shard(&mut self, folder: &Path, shard: &ShardFolder) -> Result<(), Failure> {
         let (kind, own) = (shard.kind(), self.kind());
         let is_same = kind == own;
         let taken = match (self, shard) {
-            (Self::Trainings(merged), Shard::Trainings) => return Ok(merged.take(folder)?),
-            (Self::Count(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Estimate(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Campaign(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Suite(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Assessment(merged), Shard::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Trainings(merged), ShardFolder::Trainings) => return Ok(merged.take(folder)?),
+            (Self::Count(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Estimate(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Campaign(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
             _ => {
                 let problem = format!("{}: a {kind}, and what came before it is a {own}", folder.display());
                 return Err(Failure::Input(problem));
@@ -183,7 +183,7 @@ impl Merged {
 }
 
 /// A path without links, of which the end may not be there yet.
-fn resolved(path: &Path) -> PathBuf {
+fn resolve_path(path: &Path) -> PathBuf {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let real = |ancestor: &Path| Some(ancestor.canonicalize().ok()?.join(whole.strip_prefix(ancestor).ok()?));
     whole.ancestors().find_map(real).unwrap_or(whole.clone())
@@ -191,15 +191,15 @@ fn resolved(path: &Path) -> PathBuf {
 
 impl Merge {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        if self.folders.len() > MOST_FOLDERS {
+        if self.folders.len() > MAX_FOLDERS {
             return Err(Failure::Input(format!("{} folders: at most {MOST_FOLDERS} are read", self.folders.len())));
         }
-        self.goes_elsewhere()?;
-        let (mut merged, mut open): (Option<Merged>, _) = (None, Vec::new());
+        self.check_out_folder()?;
+        let (mut merged, mut open): (Option<AnyMerged>, _) = (None, Vec::new());
         for folder in &self.folders {
-            match (Shard::in_folder(folder)?, &mut merged) {
+            match (ShardFolder::in_folder(folder)?, &mut merged) {
                 (Err(why), _) => open.push(format!("{}: {why}", folder.display())),
-                (Ok(shard), None) => merged = Some(Merged::of(folder, &shard)?),
+                (Ok(shard), None) => merged = Some(AnyMerged::of(folder, &shard)?),
                 (Ok(shard), Some(merged)) => merged.take(folder, &shard)?,
             }
         }
@@ -209,23 +209,23 @@ impl Merge {
         let Some(merged) = merged else {
             return Err(Failure::Gate("none of these folders holds a finished shard".to_owned()));
         };
-        if self.partial && !matches!(merged, Merged::Campaign(_)) {
+        if self.partial && !matches!(merged, AnyMerged::Campaign(_)) {
             let kind = merged.kind();
             return Err(Failure::Input(format!("--partial: only of a search a part is of use, and these are: {kind}")));
         }
-        let format = self.only_text_or_json(merged.kind());
+        let format = self.text_or_json_format(merged.kind());
         match merged {
-            Merged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite(), quiet),
-            Merged::Count(merged) => self.count(&merged, format?),
-            Merged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
-            Merged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),
-            Merged::Assessment(merged) => assess::merge(&merged, &self.out, format?),
-            Merged::Trainings(merged) => train::merge(&merged, &self.out, format?, quiet),
+            AnyMerged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite(), quiet),
+            AnyMerged::Count(merged) => self.count(&merged, format?),
+            AnyMerged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
+            AnyMerged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),
+            AnyMerged::Assessment(merged) => assess::merge(&merged, &self.out, format?),
+            AnyMerged::Trainings(merged) => train::merge(&merged, &self.out, format?, quiet),
         }
     }
 
     /// Whether the whole goes into none of the shards, where it would be taken for theirs.
-    fn goes_elsewhere(&self) -> Result<(), Failure> {
+    fn check_out_folder(&self) -> Result<(), Failure> {
         let out = resolved(&self.out);
         match self.folders.iter().find(|folder| folder.canonicalize().is_ok_and(|folder| out.starts_with(folder))) {
             None => Ok(()),
@@ -238,7 +238,7 @@ impl Merge {
         }
     }
 
-    fn only_text_or_json(&self, kind: &str) -> Result<Format, Failure> {
+    fn text_or_json_format(&self, kind: &str) -> Result<Format, Failure> {
         match self.format {
             MergeFormat::Text => Ok(Format::Text),
             MergeFormat::Json => Ok(Format::Json),
@@ -248,7 +248,7 @@ impl Merge {
         }
     }
 
-    fn count(&self, merged: &MergedCount, format: Format) -> Result<(), Failure> {
+    fn write_count(&self, merged: &MergedCount, format: Format) -> Result<(), Failure> {
         let written = match merged.write_in(&self.out) {
             // What was counted is an answer, too.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
@@ -278,12 +278,12 @@ impl Merge {
         let said = verify::judged(&path, &certificate)?;
         let exposed = merged.exposed()?;
         match format {
-            Format::Json => output::print_json(&Counted { count: merged.so_far(), exposed }),
+            Format::Json => output::print_json(&MergedCountReport { count: merged.so_far(), exposed }),
             Format::Text => {
                 let tally = merged.tally().unwrap_or_default();
-                let exposed = exposed.map(|rate| exposed::text(&rate)).unwrap_or_default();
+                let exposed = exposed.map(|rate| exposure::text(&rate)).unwrap_or_default();
                 let counted = verify::counted(merged.record().is_of_two(), &tally);
-                output::print_for(Format::Text, &format!("{counted}{said}{exposed}"))
+                output::print_coloured(Format::Text, &format!("{counted}{said}{exposed}"))
             }
         }
     }
@@ -291,7 +291,7 @@ impl Merge {
 
 /// A count whose runs are all there, for programs.
 #[derive(Serialize)]
-struct Counted {
+struct MergedCountReport {
     #[serde(flatten)]
     count: SoFar,
     /// What the failures come to per hour, where the space says in how much driving it was seen.
@@ -300,7 +300,7 @@ struct Counted {
 }
 
 /// What is there, and what is not.
-fn incomplete(so_far: &SoFar) -> String {
+fn format_incomplete(so_far: &SoFar) -> String {
     let SoFar { registered_runs, runs, shards, missing_runs, missing_shards, .. } = so_far;
     let plural = if *shards == 1 { "" } else { "s" };
     let mut text = format!("{runs} of {registered_runs} runs, in {shards} shard{plural}\n");
@@ -308,10 +308,10 @@ fn incomplete(so_far: &SoFar) -> String {
     match so_far.of_shards {
         Some(of) if *runs > 0 => line(format!("missing of {of} shards: {}", as_array(missing_shards))),
         _ => {
-            for [start, end] in missing_runs.iter().take(MOST_RANGES) {
+            for [start, end] in missing_runs.iter().take(MAX_PRINTED_RANGES) {
                 line(format!("missing: runs {start} to {}", end.saturating_sub(1)));
             }
-            if let Some(more @ 1..) = missing_runs.len().checked_sub(MOST_RANGES) {
+            if let Some(more @ 1..) = missing_runs.len().checked_sub(MAX_PRINTED_RANGES) {
                 line(format!("and {more} ranges more (--format json has them all)"));
             }
         }

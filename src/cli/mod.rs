@@ -4,8 +4,8 @@ mod assess;
 mod avoid;
 mod benchmark;
 mod check;
-mod choice;
-mod cruise;
+mod value_enums;
+mod acc_benchmark;
 mod describe;
 mod describe_fmu;
 mod doctor;
@@ -15,11 +15,11 @@ mod explore;
 #[path = "explore_missing.rs"]
 mod explore;
 mod export;
-mod exposed;
-mod failure;
+mod exposure;
+mod error;
 mod falsify;
 mod feature;
-mod finding;
+mod artifacts;
 mod fit;
 mod fsck;
 mod import;
@@ -28,7 +28,7 @@ mod list;
 mod merge;
 mod output;
 mod output_folder;
-mod own_file;
+mod file_kind;
 mod plan;
 mod preset;
 mod progress;
@@ -38,8 +38,8 @@ mod retrain;
 mod shell;
 mod show;
 mod simulate;
-mod simulated;
-mod subject;
+mod run_report;
+mod args;
 mod suite;
 mod suite_folder;
 mod suite_map;
@@ -54,7 +54,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use crumple_world::control::allow_external;
 
-use failure::Failure;
+use error::Failure;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -68,7 +68,7 @@ Exit codes:
 /// Crash-tests longitudinal driving controllers before the road does.
 #[derive(Parser)]
 #[command(version, after_help = EXIT_CODES, max_term_width = 100)]
-struct Arguments {
+struct Cli {
     /// No progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
@@ -77,11 +77,11 @@ struct Arguments {
     #[arg(long, global = true)]
     allow_external: bool,
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum CliCommand {
     Assess(assess::Assess),
     Simulate(simulate::Simulate),
     Import(import::Import),
@@ -111,13 +111,13 @@ enum Command {
 
 /// Runs the command line with given arguments, the program's name first.
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    interrupt::limits_are_errors();
+    interrupt::ignore_file_size_signal();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     if allows_external(&arguments) {
         allow_external();
     }
     let arguments =
-        match commands().try_get_matches_from(arguments).and_then(|found| Arguments::from_arg_matches(&found)) {
+        match commands().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
             Ok(arguments) => arguments,
             Err(usage) => {
                 // Help and version are not errors; clap prints them to standard output.
@@ -132,31 +132,31 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             }
         };
     let quiet = arguments.quiet;
-    let done = subject::try_controllers(quiet).and_then(|()| match arguments.command {
-        Command::Assess(command) => command.run(quiet),
-        Command::Simulate(command) => command.run(quiet),
-        Command::Import(command) => command.run(quiet),
-        Command::Fit(command) => command.run(quiet),
-        Command::Export(command) => command.run(quiet),
-        Command::Explore(command) => command.run(quiet),
-        Command::Train(command) => command.run(quiet),
-        Command::Retrain(command) => command.run(quiet),
-        Command::Avoid(command) => command.run(quiet),
-        Command::Check(command) => command.run(quiet),
-        Command::WorstCase(command) => command.run(quiet),
-        Command::Falsify(command) => command.run(quiet),
-        Command::Benchmark(command) => command.run(quiet),
-        Command::Verify(command) => command.run(quiet),
-        Command::Suite(command) => command.run(quiet),
-        Command::Plan(command) => command.run(quiet),
-        Command::Merge(command) => command.run(quiet),
-        Command::Fsck(command) => command.run(),
-        Command::List(command) => command.run(),
-        Command::Show(command) => command.run(quiet),
-        Command::Describe(command) => command.run(),
-        Command::Doctor(command) => command.run(),
-        Command::Completions(command) => command.run(commands()),
-        Command::Man(command) => command.run(commands(), quiet),
+    let done = args::try_controllers(quiet).and_then(|()| match arguments.command {
+        CliCommand::Assess(command) => command.run(quiet),
+        CliCommand::Simulate(command) => command.run(quiet),
+        CliCommand::Import(command) => command.run(quiet),
+        CliCommand::Fit(command) => command.run(quiet),
+        CliCommand::Export(command) => command.run(quiet),
+        CliCommand::Explore(command) => command.run(quiet),
+        CliCommand::Train(command) => command.run(quiet),
+        CliCommand::Retrain(command) => command.run(quiet),
+        CliCommand::Avoid(command) => command.run(quiet),
+        CliCommand::Check(command) => command.run(quiet),
+        CliCommand::WorstCase(command) => command.run(quiet),
+        CliCommand::Falsify(command) => command.run(quiet),
+        CliCommand::Benchmark(command) => command.run(quiet),
+        CliCommand::Verify(command) => command.run(quiet),
+        CliCommand::Suite(command) => command.run(quiet),
+        CliCommand::Plan(command) => command.run(quiet),
+        CliCommand::Merge(command) => command.run(quiet),
+        CliCommand::Fsck(command) => command.run(),
+        CliCommand::List(command) => command.run(),
+        CliCommand::Show(command) => command.run(quiet),
+        CliCommand::Describe(command) => command.run(),
+        CliCommand::Doctor(command) => command.run(),
+        CliCommand::Completions(command) => command.run(commands()),
+        CliCommand::Man(command) => command.run(commands(), quiet),
     });
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -174,8 +174,8 @@ fn allows_external(arguments: &[OsString]) -> bool {
 }
 
 /// All commands, as `--help` shows them.
-fn commands() -> clap::Command {
-    Arguments::command().mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
+fn build_command() -> clap::Command {
+    Cli::command().mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
 }
 
 /// Has a negative number behind an option refused for what it is: else it would be taken for another option.
@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn the_command_line_is_well_formed() {
-        Arguments::command().debug_assert();
+        Cli::command().debug_assert();
     }
 
     #[test]

@@ -29,7 +29,7 @@ fn emit(text: &str) -> Result<(), Failure> {
 }
 
 /// Prints what came of something, for a reader with its verdicts in colour where that is a terminal that has some.
-pub(super) fn print_for(format: Format, text: &str) -> Result<(), Failure> {
+pub(super) fn print_coloured(format: Format, text: &str) -> Result<(), Failure> {
     let has_colour = AutoStream::choice(&io::stdout()) != ColorChoice::Never;
     if format == Format::Json || !has_colour {
         return print(text);
@@ -64,7 +64,7 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
 ];
 
 /// A line with its first verdict in colour.
-fn coloured(line: &str) -> String {
+fn colour_verdict(line: &str) -> String {
     let stands_alone = |at: usize, word: &str| {
         let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
         let before = line.get(..at).and_then(|before| before.chars().next_back());
@@ -93,7 +93,7 @@ pub(super) fn print_result(
 ) -> Result<(), Failure> {
     match format {
         Format::Json => print_json(object),
-        Format::Text => print_for(format, &words()),
+        Format::Text => print_coloured(format, &words()),
     }
 }
 
@@ -110,7 +110,7 @@ pub(super) fn note(text: &str, quiet: bool) {
 }
 
 /// Says that there is nothing to go on with, where `--resume` asks for it: a typing error in `--out` would begin everything anew.
-pub(super) fn note_beginning(resume: bool, folder: &Path, quiet: bool) {
+pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     let is_empty = fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     if resume && (is_empty || !folder.exists()) {
         note(&format!("{}: nothing to go on with is there, so it begins anew", folder.display()), quiet);
@@ -125,7 +125,7 @@ pub(super) fn warn(text: &str) {
 
 /// Where a single file goes that the user named. A symbolic link stays, and what it leads to is written; what is no file, such as
 /// a terminal or `/dev/null`, is refused, for files are moved into their places whole and one would be in its place.
-pub(super) fn place(path: &Path) -> Result<PathBuf, Failure> {
+pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, Failure> {
     let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {

@@ -29,26 +29,26 @@ pub(super) struct OutputFolder {
 /// Files of earlier commands in the same folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EarlierFiles {
-    Stay,
+    Keep,
     /// The new files replace all of them. Those that have changed since stay.
-    Go,
+    Replace,
 }
 
 impl OutputFolder {
     /// Reads the listing of a folder, if there is one.
-    pub(super) fn listed(path: &Path, listing: &'static str) -> Result<Self, Failure> {
+    pub(super) fn with_listing(path: &Path, listing: &'static str) -> Result<Self, Failure> {
         let folder = Self { listing: Some(listing), ..Self::unlisted(path, false) };
         let (before, announced) = (entries(&path.join(listing))?, entries(&announcement(path, listing))?);
         Ok(folder.knowing(before.into_iter().chain(announced)))
     }
 
     /// Returns a folder without a listing. With `force` any plain file there may be replaced, otherwise none.
-    pub(super) fn unlisted(path: &Path, force: bool) -> Self {
+    pub(super) fn without_listing(path: &Path, force: bool) -> Self {
         Self { path: path.to_owned(), listing: None, force, recorded: BTreeMap::new() }
     }
 
     /// Adds files to those that crumple wrote, by their names and SHA-256.
-    pub(super) fn knowing(mut self, files: impl IntoIterator<Item = (String, String)>) -> Self {
+    pub(super) fn with_known_files(mut self, files: impl IntoIterator<Item = (String, String)>) -> Self {
         for (name, digest) in files {
             self.recorded.entry(name).or_default().insert(digest);
         }
@@ -99,37 +99,37 @@ impl OutputFolder {
 
     fn stage(&self, files: &mut Files, name: &str, contents: &[u8]) -> Result<(), Failure> {
         let path = self.path.join(name);
-        if let Some(link) = self.link_to(&path) {
+        if let Some(link) = self.find_symlink(&path) {
             return Err(Failure::Input(format!("{}: {LINK}", link.display())));
         }
         path.parent().map_or(Ok(()), disk::make_folder)?;
         let is_own = |digest: &str| self.force || self.recorded.get(name).is_some_and(|known| known.contains(digest));
-        let advice = if self.listing.is_some() { LISTED } else { UNLISTED };
+        let advice = if self.listing.is_some() { LISTED } else { EXISTING_FILE_PROBLEM };
         stage(files, &path, contents, is_own, advice)
     }
 
     /// Returns the digest of a file that crumple wrote and that has not changed since.
-    fn unchanged(&self, name: &str) -> Option<String> {
+    fn unchanged_digest(&self, name: &str) -> Option<String> {
         let path = self.path.join(name);
-        let is_plain = self.link_to(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+        let is_plain = self.find_symlink(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
         let digest = is_plain.then(|| digest(&path).ok()).flatten()?;
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
 
     /// Returns the first folder between this one and a file in it that leads elsewhere.
-    fn link_to<'a>(&self, path: &'a Path) -> Option<&'a Path> {
+    fn find_symlink<'a>(&self, path: &'a Path) -> Option<&'a Path> {
         let between = path.ancestors().skip(1).take_while(|folder| *folder != self.path);
         between.into_iter().find(|folder| folder.is_symlink())
     }
 }
 
-const LINK: &str = "is a symbolic link, and results are files of their own: remove it, or write elsewhere";
-const LISTED: &str = "has changed, or crumple did not write it here: move it, or use another --out";
-const UNLISTED: &str = "is there and says something else: use --force to overwrite it, or another name";
+const SYMLINK_PROBLEM: &str = "is a symbolic link, and results are files of their own: remove it, or write elsewhere";
+const CHANGED_FILE_PROBLEM: &str = "has changed, or crumple did not write it here: move it, or use another --out";
+const EXISTING_FILE_PROBLEM: &str = "is there and says something else: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.
 pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, bytes: &[u8], force: bool) -> Result<(), Failure> {
-    stage(files, &output::place(path)?, bytes, |_| force, UNLISTED)
+    stage(files, &output::place(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
 }
 
 /// Stages a file if its place is free, or `is_own` accepts the digest of the plain file that is there.
@@ -144,7 +144,7 @@ pub(super) fn stage(
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
         Err(error) => return Err(DiskError::at(path)(error).into()),
-        Ok(found) if found.is_symlink() => return refused(LINK),
+        Ok(found) if found.is_symlink() => return refused(SYMLINK_PROBLEM),
         Ok(found) if !found.is_file() => return refused("is no file, and results are files"),
         Ok(_) => {}
     }
@@ -157,17 +157,17 @@ pub(super) fn stage(
 
 /// Returns the file that holds both listings, the last and the next one, while files are moved to their places. A process that ends
 /// in between leaves it, and the next one knows the files of both.
-fn announcement(folder: &Path, listing: &str) -> PathBuf {
+fn pending_listing(folder: &Path, listing: &str) -> PathBuf {
     folder.join(format!(".{listing}.next"))
 }
 
 /// Formats a line as `sha256sum` does.
-fn line(name: &str, digest: &str) -> String {
+fn listing_line(name: &str, digest: &str) -> String {
     format!("{digest}  {name}\n")
 }
 
 /// Reads a listing: names and SHA-256 of files beside it. There is none if there is no such file.
-fn entries(path: &Path) -> Result<Vec<(String, String)>, Failure> {
+fn read_listing(path: &Path) -> Result<Vec<(String, String)>, Failure> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Ok(found) if !found.is_file() => {
@@ -190,7 +190,7 @@ fn entries(path: &Path) -> Result<Vec<(String, String)>, Failure> {
 }
 
 /// Computes the SHA-256 of a file.
-fn digest(path: &Path) -> Result<String, DiskError> {
+fn file_digest(path: &Path) -> Result<String, DiskError> {
     let mut digest = Sha256::default();
     let mut copied = fs::File::open(path).map_err(DiskError::at(path))?;
     io::copy(&mut copied, &mut digest).map_err(DiskError::at(path))?;

@@ -7,13 +7,13 @@ use crumple_learn::rl::{ConfigError, PRESETS, TrainingConfig};
 use crumple_world::scenario::file;
 
 /// A configuration with the file that says it, so that what turns out to be wrong later still has a line.
-pub(super) struct Preset {
+pub(super) struct TrainingPreset {
     pub(super) config: TrainingConfig,
     text: String,
     path: PathBuf,
 }
 
-impl Preset {
+impl TrainingPreset {
     /// The committed preset of that name, or the one in a file.
     pub(super) fn find(name: &str) -> Result<Self, Failure> {
         if let Some(preset) = Self::in_file(name)? {
@@ -24,7 +24,7 @@ impl Preset {
     }
 
     /// As [`Self::find`], for a command that has a preset of its own besides, which is not the one of that name.
-    pub(super) fn find_beside(own: &str, name: &str) -> Result<Self, Failure> {
+    pub(super) fn find_with_own(own: &str, name: &str) -> Result<Self, Failure> {
         match Self::in_file(name)? {
             Some(preset) => Ok(preset),
             None if TrainingConfig::preset_text(name).is_ok() => Self::find(name),
@@ -33,19 +33,19 @@ impl Preset {
     }
 
     /// Its configuration, if its spaces are there to be drawn from.
-    pub(super) fn with_spaces(self) -> Result<TrainingConfig, Failure> {
+    pub(super) fn into_checked_config(self) -> Result<TrainingConfig, Failure> {
         self.config.source().map_err(|error| self.failure(error))?;
         Ok(self.config)
     }
 
     /// The preset in a file; none where the name can only be that of a committed one.
-    pub(super) fn in_file(name: &str) -> Result<Option<Self>, Failure> {
+    pub(super) fn from_file(name: &str) -> Result<Option<Self>, Failure> {
         let path = Path::new(name);
         // A committed preset's name is its own, whatever lies in the folder.
         if path.extension().is_none() && (TrainingConfig::preset_text(name).is_ok() || !path.exists()) {
             return Ok(None);
         }
-        if let Some(what) = own_file::known(path) {
+        if let Some(what) = file_kind::known(path) {
             return Err(Failure::Input(format!("{}: is no preset, but {what}", path.display())));
         }
         let text = file::read(path)?;
@@ -54,13 +54,13 @@ impl Preset {
     }
 
     /// An error in what the configuration names, with the line that names it.
-    pub(super) fn failure(&self, error: ConfigError) -> Failure {
-        Failure::input(error.in_text(&self.text, &self.path))
+    pub(super) fn error_at_line(&self, error: ConfigError) -> Failure {
+        Failure::input(error.with_location(&self.text, &self.path))
     }
 }
 
 /// What presets there are instead, with the command's own.
-fn unknown(name: &str, own: Option<&str>) -> Failure {
+fn unknown_preset_error(name: &str, own: Option<&str>) -> Failure {
     if name.trim().is_empty() {
         return Failure::Input("--preset: none is named".to_owned());
     }
@@ -70,4 +70,4 @@ fn unknown(name: &str, own: Option<&str>) -> Failure {
 }
 
 /// The preset of `crumple retrain`, and what it was called before.
-pub(super) const RETRAIN: [&str; 2] = ["retrain", "harden"];
+pub(super) const RETRAIN_PRESET_NAMES: [&str; 2] = ["retrain", "harden"];

@@ -4,14 +4,14 @@ use crumple_core::observer::{Listener, Observer, Progress};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Draws on standard error, and only if that is a terminal.
-fn progress(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
+fn progress_bar(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
     let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::with_draw_target(total, target).with_style(style)
 }
 
 /// Shows a bar for `total` runs.
-pub(super) fn bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
+pub(super) fn run_bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     let template = "{msg} {bar:30} {human_pos}/{human_len} runs, {eta} left";
     progress(template, Some(total), quiet).with_message(what)
 }
@@ -32,17 +32,17 @@ pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
 }
 
 /// Shows a line for `total` depths of a partition, with a message.
-pub(super) fn depths(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
+pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     progress("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
 }
 
 /// Shows a line for work of unknown length, with a message.
-pub(super) fn line(quiet: bool) -> ProgressBar {
+pub(super) fn status_line(quiet: bool) -> ProgressBar {
     progress("{spinner} {msg} ({elapsed})", None, quiet)
 }
 
 /// Returns an observer that advances a bar from its present position.
-pub(super) fn advance(bar: &ProgressBar) -> impl Observer<Progress> {
+pub(super) fn bar_observer(bar: &ProgressBar) -> impl Observer<Progress> {
     let begin = bar.position();
     Listener(move |progress: &Progress| bar.set_position(begin + progress.done))
 }

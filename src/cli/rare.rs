@@ -10,7 +10,7 @@ use super::{Failure, exposed, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoted::Terminal;
 use crumple_evidence::rare::{
-    Estimate, MOST_LEVELS, MergedEstimate, PILOTS, RareFolder, RareMethod, RarePlan, RareReport,
+    Estimate, MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareFolder, RareMethod, RarePlan, RareReport,
 };
 use crumple_store::shard::{MissingShards, Shard};
 use crumple_world::observation::EstimatorKind;
@@ -47,26 +47,26 @@ pub(super) fn estimate(
 }
 
 /// Makes all runs of an estimate that are not kept in its folder.
-fn climbed(
+fn run_estimate(
     plan: &RarePlan,
     resamples: u32,
     (kept, folder): (&mut RareFolder, &Path),
     quiet: bool,
 ) -> Result<RareReport, Failure> {
-    interrupt::says(how_to_go_on(plan, folder), quiet);
+    interrupt::says(resume_hint(plan, folder), quiet);
     let bar = progress::counter("placing levels", quiet);
     let pilot = kept.pilot(plan, &progress::advance(&bar));
     bar.finish_and_clear();
     let pilot = pilot?;
-    let bar = progress::bar("climbing", pilot.runs_ahead(), quiet);
-    bar.inc(pilot.runs_ahead() / plan.effort.repetitions.max(1) as u64 * kept.kept_repetitions());
+    let bar = progress::bar("climbing", pilot.planned_runs(), quiet);
+    bar.inc(pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions());
     let report = kept.report(plan, &pilot, resamples, &progress::advance(&bar));
     bar.finish_and_clear();
     Ok(report?)
 }
 
 /// What becomes of an estimate, or a shard of one, that is interrupted.
-fn how_to_go_on(plan: &RarePlan, folder: &Path) -> String {
+fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
     match plan.controller.kind.identity() {
         Some(_) => format!("what is done is kept in {}: the same command with --resume goes on", folder.display()),
         None => "the controller states no identity, so that nothing can go on: begin anew in another --out".to_owned(),
@@ -74,16 +74,16 @@ fn how_to_go_on(plan: &RarePlan, folder: &Path) -> String {
 }
 
 /// Makes a shard of an estimate, in `folder`, unless it is there.
-pub(super) fn shard(
+pub(super) fn run_shard(
     plan: &RarePlan,
     (shard, resamples): (Shard, u32),
     folder: &Path,
     resume: bool,
     (format, quiet): (Format, bool),
 ) -> Result<(), Failure> {
-    let mut part = plan.shard_in_folder(shard, resamples, folder, resume)?;
+    let mut part = plan.open_shard_folder(shard, resamples, folder, resume)?;
     if !part.is_complete() {
-        interrupt::says(how_to_go_on(plan, folder), quiet);
+        interrupt::says(resume_hint(plan, folder), quiet);
         let bar = progress::counter("placing levels", quiet);
         let pilot = part.pilot(&progress::advance(&bar));
         bar.finish_and_clear();
@@ -106,7 +106,7 @@ struct ShardReport<'a> {
 
 /// What is missing of an estimate, for programs.
 #[derive(Serialize)]
-struct Incomplete {
+struct MissingRepetitions {
     missing_repetitions: u64,
     #[serde(flatten)]
     shards: MissingShards,
@@ -115,10 +115,10 @@ struct Incomplete {
 /// Puts shards of an estimate together, and prints the estimate.
 pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> Result<(), Failure> {
     let Some((_, report)) = merged.write_in(folder)? else {
-        let (missing_repetitions, shards) = (merged.missing_parts(), merged.missing_shards());
+        let (missing_repetitions, shards) = (merged.missing_part_count(), merged.missing_shards());
         let gate = format!("{missing_repetitions} repetitions are missing{shards}, and nothing is written");
         let printed = match format {
-            Format::Json => output::print_json(&Incomplete { missing_repetitions, shards }),
+            Format::Json => output::print_json(&MissingRepetitions { missing_repetitions, shards }),
             Format::Text => Ok(()),
         };
         return Failure::gate_first(Err(Failure::Gate(gate)), printed);
@@ -127,16 +127,16 @@ pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> R
 }
 
 /// A larger share of one run in an estimate is worth a word.
-const LARGE: f64 = 0.1;
+const LARGE_WEIGHT_SHARE: f64 = 0.1;
 
-fn text(report: &RareReport) -> String {
+fn format_report(report: &RareReport) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     let _ = write_text(report, &mut text);
     text
 }
 
-fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
+fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
     let RareReport { controller, space, estimator, seed, failure, method, estimate, effort, .. } = report;
     writeln!(out, "{controller} in `{space}`: {}, estimator {}, seed {seed}", Terminal(failure), estimator.name())?;
     if report.nondeterministic {
@@ -145,12 +145,12 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
     let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
         estimate;
     match (probability, coefficient_of_variation, interval_95) {
-        (None, ..) if levels.len() == MOST_LEVELS => {
+        (None, ..) if levels.len() == MAX_LEVELS => {
             writeln!(
                 out,
                 "  no failure after {MOST_LEVELS} levels, nor by any of {} pilots, each twice as large as the one before: no estimate, and no word of how \
                  rare failures are: levels may lead past them; more --samples may find them",
-                PILOTS.len()
+                PILOT_FACTORS.len()
             )?;
         }
         (None, ..) => {
@@ -221,9 +221,9 @@ fn write_text(report: &RareReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     if let Some(rate) = &report.exposed {
-        out.push_str(&exposed::text(rate));
+        out.push_str(&exposure::text(rate));
     }
-    let contacts = report.is_of_contacts();
+    let contacts = report.is_contact_failure();
     writeln!(
         out,
         "\n  {:>14} {:>13} {:>9} {:>7} {:>11}",

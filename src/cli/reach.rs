@@ -12,7 +12,7 @@ use super::output;
 use super::output_folder::stage;
 use super::simulate::Format;
 use super::{Failure, progress, subject};
-use crumple_evidence::{BoxSpec, Doubts, InvalidBox, Partition, ReachPlan, Shares};
+use crumple_evidence::{BoxSpec, UndecidedCounts, InvalidBox, Partition, ReachPlan, VolumeShares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
@@ -37,9 +37,9 @@ as it likes, at 0 to B over each step, in place of a script; `follower_drives = 
 Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
   crumple verify reach --controller acc.toml --box my-box.toml --certificate reach/acc.json")]
-pub(super) struct Reach {
+pub(super) struct ReachCommand {
     /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
-    #[arg(long, value_name = "C", default_value = "policy", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", default_value = "policy", value_parser = args::controller)]
     controller: NamedController,
     /// The box: paper-1 or paper-2, which are built in, or a file
     #[arg(long = "box", value_name = "BOX")]
@@ -56,23 +56,23 @@ pub(super) struct Reach {
 }
 
 /// Boxes that are built in.
-pub(super) const BOXES: [(&str, &str); 2] =
+pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] =
     [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
 
 /// The text of the box of that name, or in that file.
-fn box_text(place: &Path) -> Result<String, Failure> {
-    let built_in = BOXES.iter().find(|(name, _)| Path::new(name) == place);
+fn load_box_text(place: &Path) -> Result<String, Failure> {
+    let built_in = BUILT_IN_BOXES.iter().find(|(name, _)| Path::new(name) == place);
     match built_in {
         Some((_, text)) if !place.exists() => Ok((*text).to_owned()),
         None if place.extension().is_none() && !place.exists() => {
-            let known = BOXES.map(|(name, _)| name).join(", ");
+            let known = BUILT_IN_BOXES.map(|(name, _)| name).join(", ");
             Err(Failure::Input(format!("--box: `{}` is neither a built-in box ({known}) nor a file", place.display())))
         }
-        _ => Ok(file::read_at_most(place, file::MOST_TOML_BYTES)?),
+        _ => Ok(file::read_at_most(place, file::MAX_TOML_BYTES)?),
     }
 }
 
-impl Reach {
+impl ReachCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         let place = self.starts.display();
         let text = box_text(&self.starts)?;
@@ -90,7 +90,7 @@ impl Reach {
         let plan =
             ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
         let bar = progress::depths("cutting", u64::from(self.depth), quiet);
-        let observer = Listener(|now: &Shares| {
+        let observer = Listener(|now: &VolumeShares| {
             bar.set_position(u64::from(now.depth));
             bar.set_message(line(now, false));
         });
@@ -106,7 +106,7 @@ impl Reach {
         let words = || {
             let last = shares.len().saturating_sub(1);
             let lines: String = shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
-            let Doubts { ahead, behind, too_wide } = doubts;
+            let UndecidedCounts { ahead, behind, too_wide } = doubts;
             let falsified = match is_positive(shares, |now| now.falsified) {
                 true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
                 false => "",
@@ -124,9 +124,9 @@ impl Reach {
     }
 }
 
-impl Reach {
+impl ReachCommand {
     /// What was found, for programs: of the certificate what `crumple check` says of it, under the same names.
-    fn result<'a>(&'a self, partition: &'a Partition, accepted: &Accepted) -> Found<'a> {
+    fn report<'a>(&'a self, partition: &'a Partition, accepted: &Accepted) -> Found<'a> {
         let Partition { certificate, shares, doubts } = partition;
         let (smallest_gap_m, verified_share) = match *accepted {
             Accepted::Reach { smallest_gap_m, verified_share, .. } => {
@@ -154,7 +154,7 @@ impl Reach {
 
 /// What `--format json` prints.
 #[derive(Serialize)]
-struct Found<'a> {
+struct ReachReport<'a> {
     controller: &'a str,
     /// Of the policy or network that the certificate is about.
     policy_sha256: Option<&'a str>,
@@ -171,12 +171,12 @@ struct Found<'a> {
     /// Proved for that share; none where that is nothing.
     smallest_gap_m: Option<f64>,
     horizon_s: Option<f64>,
-    shares: &'a [Shares],
-    doubts: Doubts,
+    shares: &'a [VolumeShares],
+    doubts: UndecidedCounts,
 }
 
 /// Writes a certificate, and beside it the file of the network that it names. Another network in that place stays.
-pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), Failure> {
+pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), Failure> {
     let mut files = Files::default();
     let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
     files.stage(&output::place(path)?, text.as_bytes())?;
@@ -189,12 +189,12 @@ pub(super) fn keep(path: &Path, certificate: &Certificate, network: &[u8]) -> Re
 }
 
 /// Whether there is some of it in the end.
-fn is_positive(shares: &[Shares], share: impl Fn(&Shares) -> f64) -> bool {
+fn is_positive(shares: &[VolumeShares], share: impl Fn(&VolumeShares) -> f64) -> bool {
     shares.last().is_some_and(|last| share(last) > 0.0)
 }
 
 /// What is known at a depth. Starts that end in contact are looked for at the last one.
-fn line(now: &Shares, is_last: bool) -> String {
+fn format_depth(now: &VolumeShares, is_last: bool) -> String {
     // As the checker says them: lower bounds, rounded down.
     let down = |share: f64| (1e4 * share).floor() / 1e2;
     let (verified, falsified) = (down(now.verified), down(now.falsified));

@@ -38,10 +38,10 @@ Examples:
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
     /// Policy to begin with: `policy`, or a policy file
-    #[arg(long, value_name = "P", default_value = "policy", value_parser = subject::own_policy)]
+    #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
-    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = subject::space)]
+    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::space)]
     space: (String, Space),
     /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here but must be there
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
@@ -78,7 +78,7 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = subject::whole(0..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole(0..=i64::MAX as u64))]
     seed: u64,
     /// Folder of the retraining; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]
@@ -126,7 +126,7 @@ impl Retrain {
         };
         let out = self.out.display();
         interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
-        output::note_beginning(self.resume, &self.out, quiet);
+        output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::line(quiet);
         let report = plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show(&bar, state)));
         bar.finish_and_clear();
@@ -138,7 +138,7 @@ impl Retrain {
 }
 
 /// An error about the preset by the name it was asked for by: the committed one is still called by its former name in itself.
-fn as_named(error: RetrainError, preset: &str) -> RetrainError {
+fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
     match error {
         RetrainError::OtherPolicy { policy, what, .. } => {
             RetrainError::OtherPolicy { policy, preset: preset.to_owned(), what }
@@ -149,7 +149,7 @@ fn as_named(error: RetrainError, preset: &str) -> RetrainError {
 
 /// Rounds were made and none was accepted: the policy is the first one.
 /// Draws the picture of the report.
-fn picture(report: &Report) -> String {
+fn render_report_figure(report: &Report) -> String {
     let round = |round: &Round| {
         let trained = &round.trained;
         let checkpoint = |checkpoint: &Checkpoint| {
@@ -168,7 +168,7 @@ fn picture(report: &Report) -> String {
     retraining(&report.rounds.iter().map(round).collect::<Vec<_>>()).document()
 }
 
-fn gate(report: &Report) -> Result<(), Failure> {
+fn check_accepted(report: &Report) -> Result<(), Failure> {
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
@@ -176,7 +176,7 @@ fn gate(report: &Report) -> Result<(), Failure> {
 }
 
 /// The spaces of these names and files; without any, all that are built in.
-fn regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
+fn load_regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
     }
@@ -188,12 +188,12 @@ fn regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
             Err(Failure::Input("--regression: `none` stands alone".to_owned()))
         };
     }
-    if names.len() > MOST_REGRESSION_SPACES {
+    if names.len() > MAX_REGRESSION_SPACES {
         return Err(Failure::Input(format!("--regression: {MOST_REGRESSION_SPACES} spaces are the most")));
     }
     let mut spaces: Vec<Space> = Vec::new();
     for name in names {
-        let (_, space) = subject::space(name).map_err(|error| Failure::Input(format!("--regression: {error}")))?;
+        let (_, space) = args::space(name).map_err(|error| Failure::Input(format!("--regression: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
             return Err(Failure::Input(format!("--regression: two spaces are called `{}`", space.name())));
         }
@@ -203,18 +203,18 @@ fn regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
 }
 
 /// Most regression spaces.
-const MOST_REGRESSION_SPACES: usize = 32;
+const MAX_REGRESSION_SPACES: usize = 32;
 
 /// The preset of that name, or the one in a file.
-fn training(name: &str) -> Result<TrainingConfig, Failure> {
+fn load_training_config(name: &str) -> Result<TrainingConfig, Failure> {
     if RETRAIN.contains(&name) {
         return training_preset().map_err(Failure::input);
     }
     // What it names has to be there, though nothing is drawn from it here: else it is a mistake.
-    Preset::find_beside(RETRAIN[0], name)?.with_spaces()
+    Preset::find_with_own(RETRAIN[0], name)?.into_checked_config()
 }
 
-fn show(bar: &ProgressBar, state: &RetrainingProgress) {
+fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
     bar.set_message(match state {
         RetrainingProgress::Gathering { what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
         RetrainingProgress::Searching { round, state } => match &state.method {

@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 
 use super::preset::RETRAIN;
-use super::reach::BOXES;
+use super::reach::BUILT_IN_BOXES;
 use super::{Failure, output};
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
@@ -53,7 +53,7 @@ enum BuiltInKind {
 }
 
 impl BuiltInKind {
-    fn word(self) -> String {
+    fn name(self) -> String {
         self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
@@ -70,14 +70,14 @@ impl BuiltInKind {
             Self::Preset => PRESETS.into_iter().chain([(RETRAIN[0], TRAINING_PRESET_TEXT)]).map(owned).collect(),
             Self::Suite => SHIPPED.map(owned).into(),
             Self::Map => BUILT_IN_MAPS.map(owned).into(),
-            Self::Box => BOXES.map(owned).into(),
-            Self::VehicleClass => VehicleClass::ALL.iter().map(|class| (class.name(), lines_of(*class))).collect(),
+            Self::Box => BUILT_IN_BOXES.map(owned).into(),
+            Self::VehicleClass => VehicleClass::ALL.iter().map(|class| (class.name(), vehicle_class_toml(*class))).collect(),
         })
     }
 }
 
 /// A vehicle class as the lines of a vehicle in a scenario file.
-fn lines_of(class: VehicleClass) -> String {
+fn vehicle_class_toml(class: VehicleClass) -> String {
     format!(
         "# A vehicle of class `{name}` has these numbers, and a scenario file may state others.\n[[vehicles]]\nclass = \"{name}\"\nlength_m = {:?}\n\
          mass_kg = {:?}\nmax_brake_mps2 = {:?}\nmax_accel_mps2 = {:?}\nposition_m = 0.0\nspeed_mps = 0.0\ndriver = \"under-test\"\n",

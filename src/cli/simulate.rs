@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::simulated::{Judged, Report, braking_without_cause, describe, lane_changes, left_behind};
+use super::run_report::{Judged, Report, braking_without_cause, describe, lane_changes, left_behind};
 use super::{Failure, choice, feature, subject};
 use crumple_report::draw::{self, Layout, MotionFigure};
 use crumple_report::export;
-use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecords};
+use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::Files;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
@@ -44,10 +44,10 @@ pub(super) struct Simulate {
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", default_value = "baseline", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -56,7 +56,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = seconds)]
     dt: Option<f64>,
     /// What happens when vehicles touch
-    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = choice::one_of(choice::AFTER_CONTACT))]
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
     after_contact: AfterContact,
     /// Draw position, speed and spacing over time; a file there is replaced
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
@@ -69,14 +69,14 @@ pub(super) struct Simulate {
     spec: Vec<String>,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
-    expect: Option<Expectation>,
+    expect: Option<RunExpectation>,
     /// How to print results: for a reader, or one JSON object a scenario
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Expectation {
+enum RunExpectation {
     /// No vehicles touch, and no controller fails
     Safe,
     /// The same, and vehicles under test, of which there is one, brake with a cause and are not left behind
@@ -89,8 +89,8 @@ enum Expectation {
     Violated,
 }
 
-impl Expectation {
-    fn is_met(self, rendered: &Rendered) -> bool {
+impl RunExpectation {
+    fn is_met(self, rendered: &RenderedRun) -> bool {
         match self {
             Self::Safe => rendered.is_safe,
             Self::Useful => rendered.is_safe && rendered.is_useful,
@@ -100,7 +100,7 @@ impl Expectation {
         }
     }
 
-    fn in_words(self) -> &'static str {
+    fn description(self) -> &'static str {
         match self {
             Self::Safe => "no collision",
             Self::Useful => "no collision, no braking without cause and nobody left behind",
@@ -113,7 +113,7 @@ impl Expectation {
 
 /// How results are printed.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-pub(super) enum Format {
+pub(super) enum OutputFormat {
     /// For a reader
     Text,
     /// For a program
@@ -121,7 +121,7 @@ pub(super) enum Format {
 }
 
 /// What becomes of one run.
-struct Rendered {
+struct RenderedRun {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
     is_safe: bool,
@@ -131,7 +131,7 @@ struct Rendered {
 }
 
 /// A length of time that steps can have.
-fn seconds(text: &str) -> Result<f64, String> {
+fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(found) if found > 0.0 && f64::is_finite(found) => Ok(found),
         Ok(_) => Err("must be a positive number of seconds".to_owned()),
@@ -141,17 +141,17 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 impl Simulate {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        if self.spec.is_empty() && matches!(self.expect, Some(Expectation::Satisfied | Expectation::Violated)) {
+        if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
             return Err(Failure::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
         }
         // `*.toml` of a folder that version 0.1.0 wrote includes its recorded verdicts.
         let is_verdicts = |name: &str| {
-            Path::new(name).ends_with(file::EARLIER_EXPECTED) && ExpectedFile::load(Path::new(name)).is_ok()
+            Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(Path::new(name)).is_ok()
         };
         let names = self.scenarios.iter().filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
         let scenarios = names.map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
         if let Some(scenario) = scenarios.first() {
-            self.spec.iter().try_for_each(|text| subject::specification(text, scenario, quiet).map(drop))?;
+            self.spec.iter().try_for_each(|text| args::specification(text, scenario, quiet).map(drop))?;
         }
         self.note_other_controllers(quiet);
         let options = self.options();
@@ -178,20 +178,20 @@ impl Simulate {
         }
         files.commit()?;
         let printed =
-            output::print_for(self.format, &results.iter().map(|result| result.text.as_str()).collect::<String>());
+            output::print_coloured(self.format, &results.iter().map(|result| result.text.as_str()).collect::<String>());
         Failure::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
     /// Everything to print and write of one run, so that its trace need not be kept.
-    fn render(&self, run: &Run, simulated: &Simulated, is_one_of_many: bool) -> Result<Rendered, Failure> {
+    fn render(&self, run: &Run, simulated: &Simulated, is_one_of_many: bool) -> Result<RenderedRun, Failure> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
         let judged = &report.braking_without_cause;
         let brakes_with_cause = !judged.is_empty() && judged.iter().all(|one| one.braking.is_none());
         let is_useful = brakes_with_cause && report.left_behind.is_empty();
         let text = match self.format {
-            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-            Format::Text => describe(&report, run.scenario()),
+            OutputFormat::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            OutputFormat::Text => describe(&report, run.scenario()),
         };
         let mut files = Vec::new();
         if let Some(trace) = &simulated.trace {
@@ -208,7 +208,7 @@ impl Simulate {
                 files.push((named(path, name), table?));
             }
         }
-        Ok(Rendered {
+        Ok(RenderedRun {
             text,
             files,
             is_safe: simulated.outcome.is_safe(),
@@ -220,7 +220,7 @@ impl Simulate {
 
     /// Says which scenario files are recorded with other controllers than the one that drives here.
     fn note_other_controllers(&self, quiet: bool) {
-        let mut records = VerdictRecords::default();
+        let mut records = VerdictRecordReader::default();
         for name in self.scenarios.iter().filter(|name| built_in(name).is_none()) {
             // A record that cannot be read says nothing of a run.
             let Ok(Some(recorded)) = records.about(Path::new(name)) else { continue };
@@ -235,15 +235,15 @@ impl Simulate {
         }
     }
 
-    fn scenario(&self, name: &str) -> Result<Scenario, Failure> {
-        let scenario = subject::scenario(name)?;
+    fn load_scenario(&self, name: &str) -> Result<Scenario, Failure> {
+        let scenario = args::scenario(name)?;
         match self.seed {
             None => Ok(scenario),
             Some(seed) => scenario.edited(|spec| spec.seed = seed).map_err(|e| Failure::Input(format!("--seed: {e}"))),
         }
     }
 
-    fn options(&self) -> RunOptions {
+    fn run_options(&self) -> RunOptions {
         let options = RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)
             .with_after_contact(self.after_contact);
@@ -276,7 +276,7 @@ impl Simulate {
     }
 
     /// What each specification says; those that need the same kind of run share one.
-    fn judge(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
+    fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
         let mut runs: Vec<(Run, RecordingLevel, Simulated)> = Vec::new();
         let judge = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
@@ -298,7 +298,7 @@ impl Simulate {
         self.spec.iter().map(judge).collect()
     }
 
-    fn check_expectation(&self, runs: &[Run], results: &[Rendered]) -> Result<(), Failure> {
+    fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), Failure> {
         let Some(expected) = self.expect else { return Ok(()) };
         let otherwise: Vec<_> = runs
             .iter()
@@ -314,7 +314,7 @@ impl Simulate {
 }
 
 /// The three diagrams of a run, as the file's extension says.
-pub(super) fn picture(
+pub(super) fn render_motion_figure(
     path: &Path,
     scenario: &Scenario,
     controller: &str,
@@ -332,7 +332,7 @@ pub(super) fn picture(
 }
 
 /// Parses a path that ends in one of two extensions, in a format that this build writes.
-pub(super) fn ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
+pub(super) fn parse_path_ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
     let [one, other] = extensions;
     match extension(Path::new(path)) {
         Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| PathBuf::from(path)),
@@ -345,7 +345,7 @@ fn extension(path: &Path) -> Option<&str> {
 }
 
 /// `path` with a scenario's name before its extension.
-fn named(path: &Path, name: Option<&str>) -> PathBuf {
+fn path_for_scenario(path: &Path, name: Option<&str>) -> PathBuf {
     let (Some(name), Some(stem), Some(extension)) = (name, path.file_stem(), extension(path)) else {
         return path.to_owned();
     };

@@ -12,7 +12,7 @@ use crumple_core::quoted::ShellWord;
 use crumple_report::suite;
 use crumple_store::shard::{MissingShards, Shard};
 use crumple_suites::{
-    Failed, MergedSuite, NOT_SHIPPED, SHIPPED, STATEMENT, Suite, SuiteResult, TestVerdict, Tested, run, run_shard,
+    Failed, MergedSuite, UNSHIPPED_DOCUMENTS, SHIPPED, DISCLAIMER, Suite, SuiteResult, TestVerdict, Tested, run, run_shard,
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -23,11 +23,11 @@ use crumple_world::sim::NamedController;
 #[derive(Args)]
 pub(super) struct SuiteCommand {
     #[command(subcommand)]
-    command: Command,
+    command: SuiteSubcommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum SuiteSubcommand {
     /// List the suites that are shipped
     List {
         /// How to print
@@ -40,7 +40,7 @@ enum Command {
         suite: String,
     },
     Run(RunSuite),
-    Table(TableOfSuites),
+    Table(SuiteTable),
     Map(suite_map::MapCommand),
 }
 
@@ -67,10 +67,10 @@ struct RunSuite {
     /// A suite that is shipped (see `crumple suite list`), or a file
     suite: String,
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
-    #[arg(long = "controller", value_name = "C", required = true, value_parser = subject::controller)]
+    #[arg(long = "controller", value_name = "C", required = true, value_parser = args::controller)]
     controllers: Vec<NamedController>,
     /// What the vehicle under test looks through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Write the scenario of every point that failed into this folder, in place of those of the run before; of a shard, where it goes [default of a shard:
     /// crumple-suite-shard-I-of-N]
@@ -85,10 +85,10 @@ struct RunSuite {
     resume: bool,
     /// Exit with 1 unless every test ends like this
     #[arg(long, value_enum)]
-    expect: Option<Expectation>,
+    expect: Option<SuiteExpectation>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: SuiteFormat,
 }
 
 /// Run every suite that is shipped, and print one table
@@ -97,23 +97,23 @@ struct RunSuite {
 Examples:
   crumple suite table > suites.md
   crumple suite table --controller idm --controller acc-aeb --controller policy")]
-struct TableOfSuites {
+struct SuiteTable {
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated [default: every built-in one, and
     /// those that were learned behind the shield, too]
-    #[arg(long = "controller", value_name = "C", value_parser = subject::controller)]
+    #[arg(long = "controller", value_name = "C", value_parser = args::controller)]
     controllers: Vec<NamedController>,
     /// What the vehicle under test looks through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// How to print: a table in Markdown, or one JSON object a suite, as `crumple suite run` has it
     #[arg(long, value_enum, default_value = "text")]
     format: super::simulate::Format,
 }
 
-impl TableOfSuites {
+impl SuiteTable {
     fn run(self) -> Result<(), Failure> {
         let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
-        once_each(&controllers)?;
+        check_unique_names(&controllers)?;
         let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
         let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
         match self.format {
@@ -124,7 +124,7 @@ impl TableOfSuites {
 }
 
 /// A controller that is named twice is a mistake.
-fn once_each(controllers: &[NamedController]) -> Result<(), Failure> {
+fn check_unique_names(controllers: &[NamedController]) -> Result<(), Failure> {
     let names = || controllers.iter().map(|controller| controller.name.as_str());
     match names().enumerate().find(|(place, name)| names().take(*place).any(|before| before == *name)) {
         Some((_, name)) => Err(Failure::Input(format!("--controller: `{name}` is named twice"))),
@@ -133,7 +133,7 @@ fn once_each(controllers: &[NamedController]) -> Result<(), Failure> {
 }
 
 /// Every built-in controller, and those that were learned behind the shield, too.
-fn built_in() -> Result<Vec<NamedController>, Failure> {
+fn default_controllers() -> Result<Vec<NamedController>, Failure> {
     let all = ControllerSpec::built_in();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
@@ -142,13 +142,13 @@ fn built_in() -> Result<Vec<NamedController>, Failure> {
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Expectation {
+enum SuiteExpectation {
     /// No contact and no controller that fails, wherever a test can be run, and none found within the ranges that a clause allows
     Passed,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-pub(super) enum Format {
+pub(super) enum SuiteFormat {
     /// For a reader
     Text,
     /// One JSON object
@@ -162,17 +162,17 @@ pub(super) enum Format {
 impl SuiteCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         match self.command {
-            Command::List { format } => list(format),
-            Command::Show { suite } => show(&suite),
-            Command::Run(command) => command.run(quiet),
-            Command::Table(command) => command.run(),
-            Command::Map(command) => command.run(),
+            SuiteSubcommand::List { format } => list(format),
+            SuiteSubcommand::Show { suite } => show(&suite),
+            SuiteSubcommand::Run(command) => command.run(quiet),
+            SuiteSubcommand::Table(command) => command.run(),
+            SuiteSubcommand::Map(command) => command.run(),
         }
     }
 }
 
 /// The suite that is shipped under a name, or the one in a file.
-fn find(name: &str) -> Result<Suite, Failure> {
+fn find_suite(name: &str) -> Result<Suite, Failure> {
     if let Some(suite) = Suite::shipped(name) {
         return Ok(suite?);
     }
@@ -184,7 +184,7 @@ fn find(name: &str) -> Result<Suite, Failure> {
     Ok(Suite::load(path)?)
 }
 
-fn list(format: super::simulate::Format) -> Result<(), Failure> {
+fn list_suites(format: super::simulate::Format) -> Result<(), Failure> {
     let mut suites = Vec::new();
     // Writing to a string cannot fail.
     let mut text = String::new();
@@ -196,15 +196,15 @@ fn list(format: super::simulate::Format) -> Result<(), Failure> {
         suites.push(serde_json::json!({ "name": name, "about": spec.about, "document": document }));
     }
     let mut absent = Vec::new();
-    for (document, why) in NOT_SHIPPED {
+    for (document, why) in UNSHIPPED_DOCUMENTS {
         let _ = writeln!(text, "Not shipped: {document}; {why}.");
         absent.push(serde_json::json!({ "document": document, "why": why }));
     }
-    let all = serde_json::json!({ "statement": STATEMENT, "suites": suites, "not_shipped": absent });
+    let all = serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
     output::print_result(format, &all, || format!("{text}{STATEMENT}\n"))
 }
 
-fn show(name: &str) -> Result<(), Failure> {
+fn show_suite(name: &str) -> Result<(), Failure> {
     find(name)?;
     let text = match SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
         Some((_, text)) => (*text).to_owned(),
@@ -216,7 +216,7 @@ fn show(name: &str) -> Result<(), Failure> {
 impl RunSuite {
     fn run(self, quiet: bool) -> Result<(), Failure> {
         let suite = find(&self.suite)?;
-        once_each(&self.controllers)?;
+        check_unique_names(&self.controllers)?;
         if let Some(shard) = self.shard {
             return self.make(&suite, shard, quiet);
         }
@@ -233,16 +233,16 @@ impl RunSuite {
             output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
         }
         let printed = match self.format {
-            Format::Text => output::print_for(super::simulate::Format::Text, &text),
-            Format::Json | Format::Junit | Format::Html => output::print(&text),
+            SuiteFormat::Text => output::print_coloured(super::simulate::Format::Text, &text),
+            SuiteFormat::Json | SuiteFormat::Junit | SuiteFormat::Html => output::print(&text),
         };
         Failure::gate_first(self.check(&result), printed)
     }
 
-    fn make(&self, suite: &Suite, shard: Shard, quiet: bool) -> Result<(), Failure> {
+    fn run_shard(&self, suite: &Suite, shard: Shard, quiet: bool) -> Result<(), Failure> {
         let default = || PathBuf::from(format!("crumple-suite-shard-{}-of-{}", shard.index(), shard.of()));
         let out = self.out.clone().unwrap_or_else(default);
-        output::note_beginning(self.resume, &out, quiet);
+        output::note_nothing_to_resume(self.resume, &out, quiet);
         interrupt::says(
             format!("every test is kept in {}: the same command with --resume goes on", out.display()),
             quiet,
@@ -261,7 +261,7 @@ impl RunSuite {
         ))
     }
 
-    fn check(&self, result: &SuiteResult) -> Result<(), Failure> {
+    fn check_expectation(&self, result: &SuiteResult) -> Result<(), Failure> {
         let missed = result.tests().flat_map(|(_, test)| {
             let missed = test.controllers.iter().filter(|tested| {
                 !tested.is_passed() && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
@@ -270,7 +270,7 @@ impl RunSuite {
         });
         let missed: Vec<_> = missed.collect();
         match self.expect {
-            Some(Expectation::Passed) if !missed.is_empty() => {
+            Some(SuiteExpectation::Passed) if !missed.is_empty() => {
                 Err(Failure::Gate(format!("expected every test to pass, and these do not: {}", missed.join(", "))))
             }
             _ => Ok(()),
@@ -279,7 +279,7 @@ impl RunSuite {
 }
 
 /// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
-pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, quiet: bool) -> Result<(), Failure> {
     let Some(result) = merged.result() else {
         let (missing_tests, shards) = (merged.missing_tests(), merged.missing_shards());
         let missing = &missing_tests;
@@ -289,14 +289,14 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: 
         }
         let gate = format!("tests are missing{shards}, and nothing is written: {}", shown.join(", "));
         let printed = match format {
-            Format::Json => output::print_json(&Incomplete { missing_tests, shards }),
-            Format::Text | Format::Junit | Format::Html => Ok(()),
+            SuiteFormat::Json => output::print_json(&MissingTests { missing_tests, shards }),
+            SuiteFormat::Text | SuiteFormat::Junit | SuiteFormat::Html => Ok(()),
         };
         return Failure::gate_first(Err(Failure::Gate(gate)), printed);
     };
     suite_folder::write(&result, folder, quiet)?;
     // Only a page drives again, for its drawings.
-    let drives = if let Format::Html = format { merged.controllers(Path::new("")).collect() } else { Vec::new() };
+    let drives = if let SuiteFormat::Html = format { merged.controllers(Path::new("")).collect() } else { Vec::new() };
     let mut controllers = Vec::new();
     for found in drives {
         match found {
@@ -309,7 +309,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: Format, quiet: 
 
 /// What is missing of a suite, for programs.
 #[derive(Serialize)]
-struct Incomplete {
+struct MissingTests {
     /// Each with its controller.
     missing_tests: Vec<String>,
     #[serde(flatten)]
@@ -317,25 +317,25 @@ struct Incomplete {
 }
 
 /// Missing tests that are named.
-const MOST_SHOWN: usize = 20;
+const MAX_SHOWN: usize = 20;
 
-fn rendered(
+fn render(
     result: &SuiteResult,
     controllers: &[NamedController],
     out: Option<&Path>,
-    format: Format,
+    format: SuiteFormat,
 ) -> Result<String, Failure> {
     let replay = |failed: &Failed, tested: &Tested| replay(out?, failed, tested, result.estimator);
     Ok(match format {
-        Format::Json => serde_json::to_string(result).map_err(Failure::input)? + "\n",
-        Format::Junit => suite::xml(result),
-        Format::Html => suite::html(result, controllers, replay),
-        Format::Text => suite::text(result, replay),
+        SuiteFormat::Json => serde_json::to_string(result).map_err(Failure::input)? + "\n",
+        SuiteFormat::Junit => suite::xml(result),
+        SuiteFormat::Html => suite::html(result, controllers, replay),
+        SuiteFormat::Text => suite::text(result, replay),
     })
 }
 
 /// The command that shows a failure.
-fn replay(out: &Path, failed: &Failed, tested: &Tested, estimator: EstimatorKind) -> Option<String> {
+fn replay_command(out: &Path, failed: &Failed, tested: &Tested, estimator: EstimatorKind) -> Option<String> {
     let path = out.join(format!("{}.toml", failed.scenario_name));
     let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
     let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();

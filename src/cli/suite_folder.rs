@@ -25,11 +25,11 @@ pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<
     let failed = tested.flat_map(Tested::failures).map(text).collect::<Result<BTreeMap<_, _>, Failure>>()?;
     let failed: Vec<_> = failed.into_iter().collect();
     open(folder)?.write(&failed, EarlierFiles::Go)?;
-    name_others(folder, &failed.iter().map(|(name, _)| name.as_str()).collect(), quiet)
+    note_other_files(folder, &failed.iter().map(|(name, _)| name.as_str()).collect(), quiet)
 }
 
 /// Names the scenario files in a folder that are not of this run.
-fn name_others(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), Failure> {
+fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), Failure> {
     let entries = fs::read_dir(folder).map_err(DiskError::at(folder))?.flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     let others: BTreeSet<String> =

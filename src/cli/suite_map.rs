@@ -27,12 +27,12 @@ Examples:
 pub(super) struct MapCommand {
     /// What is driven
     #[arg(value_enum)]
-    situation: Kind,
+    situation: MapKind,
     /// Controller beside the reference drivers (see `crumple list controllers`); may be repeated
-    #[arg(long = "controller", value_name = "C", value_parser = subject::controller)]
+    #[arg(long = "controller", value_name = "C", value_parser = args::controller)]
     controllers: Vec<NamedController>,
     /// What the controllers look through; reference drivers see the truth
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Of car-following alone: the gap at the start as the time that driving it takes, 0.2 to 10 s [default: 1.5]
     #[arg(long, value_name = "S")]
@@ -44,15 +44,15 @@ pub(super) struct MapCommand {
     #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = cells)]
     cells: [usize; 2],
     /// Write the map here; may be repeated; a file there is replaced
-    #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = Picture::of)]
-    out: Vec<Picture>,
+    #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = MapFile::of)]
+    out: Vec<MapFile>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Kind {
+enum MapKind {
     /// The vehicle ahead brakes: over its braking and the speed of both
     CarFollowing,
     /// A slower vehicle cuts in: over how much slower it is and the gap when it enters
@@ -63,29 +63,29 @@ enum Kind {
 
 /// A file, and what its ending says that it is.
 #[derive(Clone)]
-struct Picture {
+struct MapFile {
     path: PathBuf,
-    kind: PictureKind,
+    kind: MapFileFormat,
 }
 
 #[derive(Clone, Copy)]
-enum PictureKind {
+enum MapFileFormat {
     Svg,
     Png,
     Html,
     Json,
 }
 
-impl Picture {
-    fn of(path: &str) -> Result<Self, String> {
+impl MapFile {
+    fn parse(path: &str) -> Result<Self, String> {
         let kind = match Path::new(path).extension().and_then(|ending| ending.to_str()) {
-            Some("svg") => PictureKind::Svg,
+            Some("svg") => MapFileFormat::Svg,
             Some("png") => {
                 feature::PNG.require()?;
-                PictureKind::Png
+                MapFileFormat::Png
             }
-            Some("html") => PictureKind::Html,
-            Some("json") => PictureKind::Json,
+            Some("html") => MapFileFormat::Html,
+            Some("json") => MapFileFormat::Json,
             _ => return Err("must end in .svg, .png, .html or .json".to_owned()),
         };
         Ok(Self { path: PathBuf::from(path), kind })
@@ -93,7 +93,7 @@ impl Picture {
 }
 
 /// Two counts, such as `24x18`.
-fn cells(text: &str) -> Result<[usize; 2], String> {
+fn parse_cells(text: &str) -> Result<[usize; 2], String> {
     let pair = text.split_once('x').and_then(|(across, up)| Some([across.parse().ok()?, up.parse().ok()?]));
     pair.ok_or_else(|| "must be two counts, such as 24x18".to_owned())
 }
@@ -102,9 +102,9 @@ impl MapCommand {
     pub(super) fn run(self) -> Result<(), Failure> {
         let (time_gap_s, own_speed_kmph) = (self.time_gap.unwrap_or(1.5), self.own_speed.unwrap_or(100.0));
         let (situation, held) = match self.situation {
-            Kind::CarFollowing => (Situation::CarFollowing { time_gap_s }, "--time-gap"),
-            Kind::CutInGap => (Situation::CutInGap { own_speed_kmph }, "--own-speed"),
-            Kind::CutInTime => (Situation::CutInTime { own_speed_kmph }, "--own-speed"),
+            MapKind::CarFollowing => (Situation::CarFollowing { time_gap_s }, "--time-gap"),
+            MapKind::CutInGap => (Situation::CutInGap { own_speed_kmph }, "--own-speed"),
+            MapKind::CutInTime => (Situation::CutInTime { own_speed_kmph }, "--own-speed"),
         };
         for (option, is_given) in [("--time-gap", self.time_gap.is_some()), ("--own-speed", self.own_speed.is_some())] {
             if is_given && option != held {
@@ -126,17 +126,17 @@ impl MapCommand {
     }
 }
 
-impl Picture {
+impl MapFile {
     fn render(&self, map: &CrashMap) -> Result<Vec<u8>, Failure> {
         Ok(match self.kind {
-            PictureKind::Svg => map_figure(map).document().into_bytes(),
-            PictureKind::Png => feature::png(&map_figure(map))?,
-            PictureKind::Html => map_html(map).into_bytes(),
-            PictureKind::Json => json(map)?.into_bytes(),
+            MapFileFormat::Svg => map_figure(map).document().into_bytes(),
+            MapFileFormat::Png => feature::png(&map_figure(map))?,
+            MapFileFormat::Html => map_html(map).into_bytes(),
+            MapFileFormat::Json => json(map)?.into_bytes(),
         })
     }
 }
 
-fn json(map: &CrashMap) -> Result<String, Failure> {
+fn to_json(map: &CrashMap) -> Result<String, Failure> {
     Ok(serde_json::to_string(map).map_err(Failure::input)? + "\n")
 }

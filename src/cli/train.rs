@@ -14,7 +14,7 @@ use super::simulate::Format;
 use super::{Failure, interrupt, output, progress, subject};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    ConfigError, Event, HeldOut, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
+    ConfigError, Event, EvaluationSet, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
     TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
 };
 use crumple_store::disk;
@@ -61,10 +61,10 @@ pub(super) struct Train {
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
     space: Vec<SpaceShare>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = subject::whole(0..=u64::MAX))]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
-    #[arg(long, value_name = "N", value_parser = subject::whole(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole(1..=100_000))]
     seeds: Option<u64>,
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
@@ -77,7 +77,7 @@ pub(super) struct Train {
     #[arg(long)]
     resume: bool,
     /// Episodes at most, instead of the preset's: 1 to 10 000 000
-    #[arg(long, value_name = "N", value_parser = subject::whole(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole(1..=10_000_000))]
     episodes: Option<u64>,
     /// How to print what the trained seeds come to
     #[arg(long, value_enum, default_value = "text")]
@@ -85,7 +85,7 @@ pub(super) struct Train {
 }
 
 /// `traffic`, or `wet.toml=0.2`.
-fn space_share(words: &str) -> Result<SpaceShare, String> {
+fn parse_space_share(words: &str) -> Result<SpaceShare, String> {
     let (space, weight) = match words.rsplit_once('=') {
         Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
         Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
@@ -135,9 +135,9 @@ impl Train {
         }
         // Seeds may be added to those that are there: only where none is, a typing error is likely.
         if !seeds.iter().any(|seed| work::is_there(&seed_folder(&self.out, *seed))) {
-            output::note_beginning(self.resume, &self.out, quiet);
+            output::note_nothing_to_resume(self.resume, &self.out, quiet);
         }
-        let held_out = HeldOut::of(&config)?;
+        let held_out = EvaluationSet::of(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
         let trained = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
             let result = self.train(&config, *seed, &held_out, &bar);
@@ -174,12 +174,12 @@ impl Train {
         match config.source() {
             Ok(_) => Ok(config),
             Err(error) if self.space.is_empty() => Err(preset.failure(error)),
-            Err(error) => Err(self.of_option(&error)),
+            Err(error) => Err(self.option_error(&error)),
         }
     }
 
     /// An error of the spaces that options name, by what was written there.
-    fn of_option(&self, error: &ConfigError) -> Failure {
+    fn option_error(&self, error: &ConfigError) -> Failure {
         let (ConfigError::Field { field, .. } | ConfigError::Range { field, .. }) = error else {
             return Failure::Input(format!("--space: {error}"));
         };
@@ -197,12 +197,12 @@ impl Train {
         &self,
         config: &TrainingConfig,
         seed: u64,
-        held_out: &HeldOut,
+        held_out: &EvaluationSet,
         bar: &ProgressBar,
     ) -> Result<SeedResult, Failure> {
         let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
         bar.inc(training.episode());
-        let shown = Mutex::new(Shown::new(seed, bar));
+        let shown = Mutex::new(SeedProgress::new(seed, bar));
         let show = |event: &Event| shown.lock().unwrap_or_else(PoisonError::into_inner).event(event);
         let result = training.train(held_out, &Listener(show))?;
         bar.inc(config.episodes.saturating_sub(result.episodes));
@@ -211,7 +211,7 @@ impl Train {
 }
 
 /// The files that every training with the same --out writes anew.
-const RESULTS: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
+const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
 
 fn results_folder(out: &Path) -> Result<OutputFolder, Failure> {
     OutputFolder::listed(out, "training.sha256")
@@ -237,7 +237,7 @@ fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(),
 
 /// What shards of trainings come to, for programs.
 #[derive(Serialize)]
-struct Merged<'a> {
+struct MergedTrainingReport<'a> {
     /// Those that are finished.
     seeds: &'a [SeedResult],
     /// Of how many, from 0.
@@ -268,7 +268,7 @@ pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: Format, quiet:
         false => Err(Failure::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", as_array(&missing)))),
     };
     let printed = match format {
-        Format::Json => output::print_json(&Merged { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
+        Format::Json => output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
         Format::Text if done.is_empty() => Ok(()),
         Format::Text => output::print(&table(&done, config.evaluation.ranking_draws)),
     };
@@ -276,7 +276,7 @@ pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: Format, quiet:
 }
 
 /// Every seed has learned something.
-fn gate(results: &[SeedResult]) -> Result<(), Failure> {
+fn check_learned(results: &[SeedResult]) -> Result<(), Failure> {
     let unlearned = results.iter().filter(|result| !result.has_learned());
     let seeds: Vec<_> = unlearned.map(|result| result.seed.to_string()).collect();
     if seeds.is_empty() {
@@ -289,7 +289,7 @@ fn gate(results: &[SeedResult]) -> Result<(), Failure> {
 }
 
 /// What the progress bar says of a seed.
-struct Shown<'a> {
+struct SeedProgress<'a> {
     seed: u64,
     bar: &'a ProgressBar,
     rewards: VecDeque<f64>,
@@ -297,18 +297,18 @@ struct Shown<'a> {
 }
 
 /// Episodes whose mean reward the progress bar shows.
-const RECENT: usize = 20;
+const REWARD_WINDOW: usize = 20;
 
-impl<'a> Shown<'a> {
+impl<'a> SeedProgress<'a> {
     fn new(seed: u64, bar: &'a ProgressBar) -> Self {
         Self { seed, bar, rewards: VecDeque::new(), safe_share: None }
     }
 
-    fn event(&mut self, event: &Event) {
+    fn update(&mut self, event: &Event) {
         match event {
             Event::Episode(record) => {
                 self.rewards.push_back(record.reward);
-                if self.rewards.len() > RECENT {
+                if self.rewards.len() > REWARD_WINDOW {
                     self.rewards.pop_front();
                 }
                 let mean = self.rewards.iter().sum::<f64>() / self.rewards.len() as f64;
@@ -327,7 +327,7 @@ impl<'a> Shown<'a> {
 }
 
 /// The result for a reader.
-fn table(results: &[SeedResult], ranking_draws: u64) -> String {
+fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
         "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",
         "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "held out", "unseen", "gap m", "policy"

@@ -11,7 +11,7 @@ use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::Format;
 use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
-use crumple_evidence::exposed::ExposedRate;
+use crumple_evidence::exposure::ExposedRate;
 use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_evidence::{
     CertificateReport, CountProgress, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels,
@@ -26,11 +26,11 @@ use crumple_world::sim::{NamedController, Unanswered};
 #[derive(Args)]
 pub(super) struct Verify {
     #[command(subcommand)]
-    claim: Claim,
+    claim: VerifySubcommand,
 }
 
 #[derive(Subcommand)]
-enum Claim {
+enum VerifySubcommand {
     Shield(Shield),
     Rate(Box<Rate>),
     Reach(Box<reach::Reach>),
@@ -45,7 +45,7 @@ speak for every other.
 What is proved are the kernel and, in verify/obligations, the shield's test of an action and what it predicts for delay, noise and \
 errors of what is seen, of the functions that drive and in real numbers. Rounding is paid for by a margin. That noise and an estimator \
 keep their bounds, six standard deviations of the noise, is not proved.")]
-struct Shield {
+struct ShieldCommand {
     /// Folder for the certificates, made if it is not there; `shield.sha256` lists them. Files that crumple wrote there and that have not
     /// changed are replaced, all others stay
     #[arg(long, value_name = "DIR", default_value = "crumple-shield")]
@@ -76,15 +76,15 @@ Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
   crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
   crumple verify rate --controller policy --space high-risk --rare")]
-struct Rate {
+struct RateCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: NamedController,
     /// Another controller on the same draws: show that the first fails less often
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     against: Option<NamedController>,
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
-    #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::space)]
     space: (String, Space),
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
@@ -93,7 +93,7 @@ struct Rate {
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Estimate the probability of a rare failure instead of counting: no certificate
-    #[arg(long, value_name = "METHOD", value_parser = choice::one_of(choice::RARE_METHODS), num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
+    #[arg(long, value_name = "METHOD", value_parser = value_enums::one_of(value_enums::RARE_METHODS), num_args = 0..=1, require_equals = true, default_missing_value = "splitting",
         conflicts_with_all = ["runs", "against", "confidence"])]
     rare: Option<RareMethod>,
     /// With --rare: what must hold, as in `crumple falsify` [default: no contact]
@@ -110,7 +110,7 @@ struct Rate {
     format: Format,
     /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 79 to 2000 [default: 200, with
     /// --rare 80, each with an estimate of about 20 000 runs]
-    #[arg(long, value_name = "N", value_parser = exposed::resamples)]
+    #[arg(long, value_name = "N", value_parser = exposure::resamples)]
     resamples: Option<u32>,
     /// Runs made in each of them, without --rare: 50 to 100 000 [default: 500]
     #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
@@ -119,7 +119,7 @@ struct Rate {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Make shard I of N only: a range of the blocks of runs (runs/100, at most 1000; of more than 100 000 000 runs 10 000), with
     /// --rare of the repetitions; `crumple merge` puts shards together, and certifies
@@ -136,9 +136,9 @@ struct Rate {
 impl Verify {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         match self.claim {
-            Claim::Shield(shield) => shield.run(),
-            Claim::Rate(rate) => rate.run(quiet),
-            Claim::Reach(reach) => reach.run(quiet),
+            VerifySubcommand::Shield(shield) => shield.run(),
+            VerifySubcommand::Rate(rate) => rate.run(quiet),
+            VerifySubcommand::Reach(reach) => reach.run(quiet),
         }
     }
 }
@@ -161,14 +161,14 @@ impl Shield {
         OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
         match self.format {
             Format::Json => output::print(&report_json(&all).map_err(Failure::input)?),
-            Format::Text => output::print_for(Format::Text, &text),
+            Format::Text => output::print_coloured(Format::Text, &text),
         }
     }
 }
 
 impl Rate {
     fn run(self, quiet: bool) -> Result<(), Failure> {
-        self.has_what_to_resample()?;
+        self.check_resampling()?;
         let Some(runs) = self.runs else { return self.estimate(quiet) };
         // clap asks for nothing that conflicts with what is there, and `--rare` does with `--runs`.
         let of_rare = [
@@ -179,7 +179,7 @@ impl Rate {
         if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
             return Err(Failure::Input(format!("{name}: is of --rare; a count is of runs without contact")));
         }
-        let (is_comparison, out) = (self.against.is_some(), self.out_of());
+        let (is_comparison, out) = (self.against.is_some(), self.out_folder());
         let plan = RatePlan::new(RateConfig {
             against: self.against,
             seed: self.seed,
@@ -189,7 +189,7 @@ impl Rate {
         })
         .map_err(Failure::input)?
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
-        output::note_beginning(self.resume, &out, quiet);
+        output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
         let go_on = || interrupt::says(format!("{kept}: the same command with --resume goes on"), quiet);
@@ -228,7 +228,7 @@ impl Rate {
         let exposed = plan.exposed(count.tally(), &progress::advance(&bar));
         bar.finish_and_clear();
         let exposed = exposed.map_err(Failure::input)?;
-        let on_the_road = exposed.as_ref().map(exposed::text).unwrap_or_default();
+        let on_the_road = exposed.as_ref().map(exposure::text).unwrap_or_default();
         let words = || format!("{}{said}{on_the_road}", counted(is_comparison, count.tally()));
         let report = CountReport {
             certificate: Some(&path),
@@ -250,7 +250,7 @@ impl Rate {
             None => Specification::NoContact,
             Some(text) => {
                 let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-                subject::specification(text, &nominal, quiet)?
+                args::specification(text, &nominal, quiet)?
             }
         };
         let plan = RarePlan {
@@ -266,15 +266,15 @@ impl Rate {
             },
         };
         let resamples = self.resamples.unwrap_or(80);
-        output::note_beginning(self.resume, &self.out_of(), quiet);
+        output::note_nothing_to_resume(self.resume, &self.out_folder(), quiet);
         if let Some(shard) = self.shard {
-            return rare::shard(&plan, (shard, resamples), &self.out_of(), self.resume, (self.format, quiet));
+            return rare::shard(&plan, (shard, resamples), &self.out_folder(), self.resume, (self.format, quiet));
         }
-        rare::estimate(&plan, resamples, &self.out_of(), self.resume, self.format, quiet)
+        rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
     }
 
     /// Whether there is something to resample, if that is asked for.
-    fn has_what_to_resample(&self) -> Result<(), Failure> {
+    fn check_resampling(&self) -> Result<(), Failure> {
         // None at all is what comes of it in any case.
         let asked = [
             ("--resamples", self.resamples.is_some_and(|resamples| resamples > 0)),
@@ -293,17 +293,17 @@ impl Rate {
     }
 
     /// Where it goes.
-    fn out_of(&self) -> PathBuf {
+    fn out_folder(&self) -> PathBuf {
         match (&self.out, self.shard) {
             (Some(out), _) => out.clone(),
-            (None, None) => PathBuf::from(OUT),
+            (None, None) => PathBuf::from(DEFAULT_OUT),
             (None, Some(shard)) => PathBuf::from(format!("{OUT}-shard-{}-of-{}", shard.index(), shard.of())),
         }
     }
 }
 
 /// Where a count goes by default.
-const OUT: &str = "crumple-rate";
+const DEFAULT_OUT: &str = "crumple-rate";
 
 /// What was counted, for programs: names as in what `crumple merge` says of counts.
 #[derive(Serialize)]
@@ -329,7 +329,7 @@ struct CountReport<'a> {
 }
 
 impl<'a> CountReport<'a> {
-    fn of(tally: &'a Tally, folder: &'a Path) -> Self {
+    fn new(tally: &'a Tally, folder: &'a Path) -> Self {
         Self {
             registration_sha256: &tally.registration_sha256,
             folder,
@@ -348,17 +348,17 @@ impl<'a> CountReport<'a> {
 }
 
 /// What was counted, in a line.
-pub(super) fn counted(is_comparison: bool, tally: &Tally) -> String {
+pub(super) fn tally_line(is_comparison: bool, tally: &Tally) -> String {
     tally.words(is_comparison) + "\n"
 }
 
 /// What the checker says of a certificate that goes to `path`.
-pub(super) fn judged(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
+pub(super) fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
     said(&CertificateReport::new(path.display().to_string(), certificate))
 }
 
 /// Says in a line what the checker accepted; a rejection is a failed gate.
-fn said(report: &CertificateReport<'_>) -> Result<String, Failure> {
+fn verdict_line(report: &CertificateReport<'_>) -> Result<String, Failure> {
     match &report.accepted {
         Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),
         Err(rejection) => Err(Failure::Gate(format!("{}: rejected: {rejection}", report.path))),

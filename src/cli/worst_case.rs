@@ -5,7 +5,7 @@ use std::fmt::Write;
 use clap::Args;
 use serde::Serialize;
 
-use super::finding::Finding;
+use super::artifacts::Finding;
 use super::{Failure, choice, subject};
 use crumple_core::observer::Quiet;
 use crumple_core::quoted::Terminal;
@@ -41,19 +41,19 @@ pub(super) struct WorstCase {
     scenario: String,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: NamedController,
     /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// What to look for: least ∫a², least peak, or the fastest impact
-    #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = choice::one_of(choice::AIMS))]
+    #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
     aim: Aim,
     /// Hardest braking of the leader in m/s²; default all it has on this road
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
     max_brake: Option<f64>,
     /// Fastest change of the leader's acceleration in m/s³
-    #[arg(long, value_name = "J", default_value_t = Envelope::JERK_MPS3, allow_negative_numbers = true)]
+    #[arg(long, value_name = "J", default_value_t = Envelope::DEFAULT_JERK_MPS3, allow_negative_numbers = true)]
     jerk: f64,
     /// Simulations after which the search ends, 1 to 10 000 000, but for those that are always made (see below)
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
@@ -64,7 +64,7 @@ pub(super) struct WorstCase {
 
 impl WorstCase {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let scenario = subject::scenario(&self.scenario)?;
+        let scenario = args::scenario(&self.scenario)?;
         let envelope = Envelope {
             max_brake_mps2: self.max_brake.unwrap_or(Envelope::of(&scenario).max_brake_mps2),
             jerk_mps3: self.jerk,
@@ -80,30 +80,30 @@ impl WorstCase {
             };
             Failure::Input(format!("{place}: {error}"))
         })?;
-        self.controller.not_refused()?;
+        self.controller.ensure_trusted()?;
         let mut files = Files::default();
         match &result.found {
             Some(attack) => {
                 let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, RecordingLevel::Trace));
                 self.finding.write(&attack.scenario, &self.controller.name, &mut files, replay)?;
             }
-            None => self.finding.note_nothing("no collision was found, so there is nothing", quiet),
+            None => self.finding.note_nothing_to_write("no collision was found, so there is nothing", quiet),
         }
         files.commit()?;
         let name = &scenario.spec().name;
         let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
         let is_over_budget = report.evaluations > self.budget as usize;
-        let over_budget_because = is_over_budget.then_some(ALWAYS_MADE);
-        self.finding.print(&Hunted { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
+        let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
+        self.finding.print(&WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
     }
 }
 
 /// Why more simulations were made than the budget says.
-const ALWAYS_MADE: &str = "a round that has begun is ended, and what the method begins and ends with is always made";
+const OVER_BUDGET_REASON: &str = "a round that has begun is ended, and what the method begins and ends with is always made";
 
 /// What was found, and whether that took more than it was to.
 #[derive(Serialize)]
-struct Hunted {
+struct WorstCaseReport {
     #[serde(flatten)]
     report: AttackReport,
     budget: u32,
@@ -111,7 +111,7 @@ struct Hunted {
     over_budget_because: Option<&'static str>,
 }
 
-fn describe(hunted: &Hunted) -> String {
+fn describe(hunted: &WorstCaseReport) -> String {
     let mut text = describe_report(&hunted.report);
     if let Some(why) = hunted.over_budget_because {
         // Writing to a string cannot fail.

@@ -7,7 +7,7 @@ use std::process::Command;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
-    AssessConfig, Assessment, AssessmentPlan, Gate, ProofStatus, SpeaksOf, Standing, Store, Strength, assess,
+    AssessConfig, Assessment, AssessmentPlan, Gate, CertificateStatus, CertificateSubject, Standing, Store, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
@@ -38,7 +38,7 @@ fn standings(assessment: &Assessment) -> Vec<&Standing> {
 }
 
 /// The claim about a rate, of the controller at that place.
-fn rate_of(assessment: &Assessment, place: usize) -> &Strength {
+fn rate_strength(assessment: &Assessment, place: usize) -> &Strength {
     let row = assessment.summary.claims.iter().find(|row| row.claim.contains("at most")).expect("claimed");
     &row.standings[place].strength
 }
@@ -46,7 +46,7 @@ fn rate_of(assessment: &Assessment, place: usize) -> &Strength {
 /// Runs of every count here that certificates are made of.
 const RUNS: u64 = 1500;
 
-fn counted(
+fn count_certificate(
     controller: &str,
     against: Option<&str>,
     space: &Space,
@@ -64,7 +64,7 @@ fn counted(
     let plan = RatePlan::new(config).expect("valid");
     let mut tally = plan.tally();
     while tally.runs < RUNS {
-        plan.count_block(&mut tally).expect("runs");
+        plan.count_batch(&mut tally).expect("runs");
     }
     plan.certificate(&tally)
 }
@@ -119,7 +119,7 @@ fn foreign_certificates_change_no_claim() {
         let strengths = |of: &Assessment| standings(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
         let proof = with.proofs.certificates.iter().find(|proof| proof.name == "given").expect("listed");
-        let is_foreign = matches!(&proof.speaks_of, SpeaksOf::Foreign { because } if !because.is_empty());
+        let is_foreign = matches!(&proof.speaks_of, CertificateSubject::Foreign { because } if !because.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.speaks_of);
     }
     let genuine = folder.path().join("genuine.json");
@@ -128,8 +128,8 @@ fn foreign_certificates_change_no_claim() {
     let mut with = config(&controllers);
     with.certificates = Some(vec![genuine]);
     let with = run(with, folder.path());
-    assert!(matches!(rate_of(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_of(&bare, 1));
-    assert!(matches!(rate_of(&with, 1), Strength::Bounded { .. }), "{:?}", rate_of(&with, 1));
+    assert!(matches!(rate_strength(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_strength(&bare, 1));
+    assert!(matches!(rate_strength(&with, 1), Strength::Bounded { .. }), "{:?}", rate_strength(&with, 1));
 }
 
 /// A file that is called a shield is none; a shield for other limits has other kernels; a copy of a policy is that policy.
@@ -155,7 +155,7 @@ fn names_prove_nothing() {
         assert_eq!(row.standings[1], row.standings[2], "the copy is that policy");
         assert!(matches!(row.standings[3].strength, Strength::Untried), "before a shield it is another controller");
     }
-    assert!(assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, ProofStatus::Accepted { .. })));
+    assert!(assessment.proofs.certificates.iter().all(|proof| matches!(proof.status, CertificateStatus::Accepted { .. })));
     assert!(!assessment.markdown().to_lowercase().contains("paper-3"), "nobody asked for the paper's scenarios");
 }
 
@@ -302,8 +302,8 @@ fn gates_on_spaces_look_at_random_scenarios() {
     assert!(gates[3].because.ends_with("of 40 random scenarios collide"), "{}", gates[3].because);
 
     // The first page ends with the gates on a terminal, and has them in both forms of the report.
-    assert!(found.first_page.gates_plain().ends_with("2 of 5 gates hold.\n"), "{}", found.first_page.gates_plain());
-    for page in [found.first_page_html(), found.markdown()] {
+    assert!(found.first_page.gates_to_plain_text().ends_with("2 of 5 gates hold.\n"), "{}", found.first_page.gates_to_plain_text());
+    for page in [found.first_page_to_html(), found.markdown()] {
         let [gates, space] = ["2 of 5 gates hold.", "no collision in random scenarios of"].map(|text| page.find(text));
         assert!(gates.is_some() && space > gates, "{page}");
     }
@@ -320,7 +320,7 @@ fn gates_on_spaces_look_at_random_scenarios() {
 }
 
 /// A line in which the third vehicle brakes and the fourth hits it, whoever is under test: by `drivers`, front to rear.
-fn crash_of_others(drivers: [&str; 4]) -> String {
+fn third_party_crash_space(drivers: [&str; 4]) -> String {
     let vehicle = |(place_m, speed_mps, driver): (f64, f64, &str)| {
         format!(
             "[[base.vehicles]]\nclass = \"light\"\nposition_m = {place_m}\nspeed_mps = {speed_mps}\ndriver{driver}\n"
@@ -347,7 +347,7 @@ const BRAKES: &str = ".pieces = { from_s = [0.1], accel_mps2 = [-7.0] }";
 #[test]
 fn runs_that_others_end_say_nothing_of_a_controller() {
     let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("others.toml"), crash_of_others([STILL, " = \"under-test\"", BRAKES, STILL]))
+    fs::write(folder.path().join("others.toml"), third_party_crash_space([STILL, " = \"under-test\"", BRAKES, STILL]))
         .expect("writes");
     fs::write(folder.path().join("own.safetensors"), Policy::retrained_bytes()).expect("writes");
     let mut asked = config(&["full-throttle", "idm", "own.safetensors"]);
@@ -377,7 +377,7 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
 #[test]
 fn what_would_mislead_is_refused_before_the_work() {
     let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("nobody.toml"), crash_of_others([STILL, " = \"idm\"", BRAKES, STILL]))
+    fs::write(folder.path().join("nobody.toml"), third_party_crash_space([STILL, " = \"idm\"", BRAKES, STILL]))
         .expect("writes");
     let begin = "version = 1\ncontrollers = [\"idm\", \"baseline\"]\npaper = false\n";
     for (rest, said) in [

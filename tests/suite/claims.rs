@@ -1,7 +1,7 @@
 //! No claim is shown to be stronger than the evidence allows, by a second opinion that reads the JSON.
 
 use crumple_report::assessment::{
-    Claim, Domain, Evidence, Known, Ledger, Property, Rounded, Source, Strength, Subject, Words,
+    Claim, Domain, Evidence, Known, Ledger, Property, Rounded, Source, Strength, Subject, UncomparedText,
 };
 use crumple_world::observation::EstimatorKind;
 use proptest::prelude::*;
@@ -9,7 +9,7 @@ use proptest::sample::select;
 use serde_json::Value;
 
 /// A few of each kind, so that claims meet: names are equal where hashes are not, and the other way round.
-fn known(kind: &'static str) -> impl Strategy<Value = Known> {
+fn any_known(kind: &'static str) -> impl Strategy<Value = Known> {
     (0..2_u8, 0..2_u8).prop_map(move |(name, content)| Known::of(format!("{kind} {name}"), format!("{kind} {content}")))
 }
 
@@ -33,7 +33,7 @@ fn property() -> impl Strategy<Value = Property> {
 fn domain() -> impl Strategy<Value = Domain> {
     prop_oneof![
         prop::collection::vec(known("scenario"), 1..3)
-            .prop_map(|all| Domain::Scenarios { about: Words("some".to_owned()), all }),
+            .prop_map(|all| Domain::Scenarios { about: UncomparedText("some".to_owned()), all }),
         (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Draws { space, seed, draws: 10 }),
         known("space").prop_map(|space| Domain::Space { space }),
         (known("space"), 0..2_u64).prop_map(|(space, seed)| Domain::Search { space, seed, budget: 10 }),
@@ -80,7 +80,7 @@ fn evidence() -> impl Strategy<Value = Evidence> {
 }
 
 /// What is said of a claim: that it does not hold, nothing, that it was tried, that it holds often, always.
-fn level(said: &Value) -> u8 {
+fn strength_level(said: &Value) -> u8 {
     match said["strength"].as_str().expect("a strength") {
         "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
         "unanswered" if said["refutes"] == true || said["failures"].as_u64() > Some(0) => 0,
@@ -94,7 +94,7 @@ fn level(said: &Value) -> u8 {
 }
 
 /// Written from the rules as the report prints them, and from nothing else: all that evidence allows to say of a claim.
-fn allowed(evidence: &[Value], claim: &Value) -> u8 {
+fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
     let about_runs =
         |p: &Value| ["no_contact", "no_contact_ahead", "no_needless_braking"].contains(&p["kind"].as_str().unwrap());

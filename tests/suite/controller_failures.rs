@@ -21,7 +21,7 @@ use crate::generate::cases;
 
 /// Accelerates mildly, and fails at its `fails_at`-th answer: by saying so, or with something that is no number.
 #[derive(Clone)]
-struct Failing {
+struct FailingController {
     fails_at: usize,
     answer: Result<f64, ControllerFailure>,
     needs: Needs,
@@ -29,21 +29,21 @@ struct Failing {
     answered: usize,
 }
 
-impl Failing {
-    fn at(fails_at: usize, answer: Result<f64, ControllerFailure>) -> Self {
+impl FailingController {
+    fn new(fails_at: usize, answer: Result<f64, ControllerFailure>) -> Self {
         Self { fails_at, answer, needs: Needs::Nothing, identity: Some("failing"), answered: 0 }
     }
 
-    fn kind(self) -> ControllerKind {
+    fn into_kind(self) -> ControllerKind {
         Arc::new(self).into()
     }
 
-    fn named(self) -> NamedController {
+    fn into_named(self) -> NamedController {
         NamedController::from_source("failing", Arc::new(self))
     }
 }
 
-impl ControllerSource for Failing {
+impl ControllerSource for FailingController {
     fn identity(&self) -> Option<String> {
         self.identity.map(str::to_owned)
     }
@@ -60,19 +60,19 @@ impl ControllerSource for Failing {
     }
 }
 
-impl Controller for Failing {
+impl Controller for FailingController {
     fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
         self.answered += 1;
         if self.answered > self.fails_at { self.answer.clone() } else { Ok(0.2) }
     }
 }
 
-fn died() -> ControllerFailure {
+fn died_failure() -> ControllerFailure {
     ControllerFailure::Died { message: "no longer there".to_owned() }
 }
 
 /// Paper scenario 2 with all but the leader under test.
-fn line() -> Scenario {
+fn all_under_test_scenario() -> Scenario {
     let edited = built_in("paper-2").unwrap().edited(|spec| spec.vehicles[2].driver = Driver::UnderTest);
     edited.unwrap()
 }
@@ -92,7 +92,7 @@ proptest! {
     ) {
         let scenario = line();
         let kind = |&fails_at: &usize| {
-            let controller = Failing::at(fails_at, answer.clone()).kind();
+            let controller = FailingController::at(fails_at, answer.clone()).kind();
             if shielded { Shielded { controller, settings: ShieldSettings::default() }.into() } else { controller }
         };
         let runs: Vec<_> = fails_at
@@ -125,7 +125,7 @@ proptest! {
 fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
     let scenario = line();
     for (needs, missing) in [(Needs::Nothing, None), (Needs::Ahead, None), (Needs::AheadAndBehind, Some("behind"))] {
-        let refused = Run::new(&scenario, RunOptions::new(Failing { needs, ..Failing::at(9, Ok(0.0)) }.kind())).err();
+        let refused = Run::new(&scenario, RunOptions::new(FailingController { needs, ..FailingController::at(9, Ok(0.0)) }.kind())).err();
         assert_eq!(refused, missing.map(|missing| RunError::Needs { vehicle: 2, missing }));
     }
 }
@@ -133,7 +133,7 @@ fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
 #[test]
 fn every_specification_is_violated_at_its_worst() {
     let scenario = line();
-    let options = RunOptions::new(Failing::at(100, Err(died())).kind());
+    let options = RunOptions::new(FailingController::at(100, Err(died())).kind());
     for text in [Specification::NO_CONTACT, "always v1.speed_mps >= 0"] {
         let specification = Specification::parse(text, &scenario).unwrap();
         let verdict = specification.judge_scenario(&scenario, options.clone()).unwrap();
@@ -141,24 +141,24 @@ fn every_specification_is_violated_at_its_worst() {
     }
 }
 
-fn paper() -> Space {
+fn paper_space() -> Space {
     built_in_space("paper").unwrap()
 }
 
-fn rate(controller: NamedController) -> Result<RatePlan, InvalidRate> {
+fn rate_plan(controller: NamedController) -> Result<RatePlan, InvalidRate> {
     RatePlan::new(RateConfig { seed: 1, estimator: EstimatorKind::Truth, ..RateConfig::new(controller, paper(), 50) })
 }
 
 #[test]
 fn a_rate_counts_it_and_says_so() {
-    let plan = rate(Failing::at(10, Err(died())).named()).unwrap();
+    let plan = rate(FailingController::at(10, Err(died())).named()).unwrap();
     let mut tally = plan.tally();
-    plan.count_block(&mut tally).unwrap();
+    plan.count_batch(&mut tally).unwrap();
     assert_eq!((tally.runs, tally.failures), (50, 50));
     let configuration = &plan.registration().configuration;
     assert_eq!(configuration["failure"], "vehicles touch, or a controller fails");
     assert_eq!(configuration["controller_sha256"], "failing");
-    let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
+    let unknown = FailingController { identity: None, ..FailingController::at(10, Err(died())) }.named();
     assert!(matches!(rate(unknown), Err(InvalidRate::NoIdentity { controller }) if controller == "failing"));
 }
 
@@ -170,7 +170,7 @@ fn campaign(controller: NamedController) -> Campaign {
 fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("campaign");
-    let own = campaign(Failing::at(10, Err(died())).named());
+    let own = campaign(FailingController::at(10, Err(died())).named());
     let summary = own.run(&out, CampaignOptions::default(), &Quiet).unwrap();
     assert!(summary.falsified);
     let found = &summary.counterexamples[0];
@@ -179,13 +179,13 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     assert!(found.file.ends_with("01-controller-1-fails.toml") && out.join(&found.file).exists(), "{}", found.file);
     let again = own.run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet).unwrap();
     assert_eq!(again.to_json().unwrap(), summary.to_json().unwrap());
-    let other = Failing { identity: Some("other"), ..Failing::at(10, Err(died())) }.named();
+    let other = FailingController { identity: Some("other"), ..FailingController::at(10, Err(died())) }.named();
     let refused = campaign(other)
         .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
         .unwrap_err()
         .to_string();
     assert!(refused.contains("another `controller_sha256`"), "{refused}");
-    let unknown = Failing { identity: None, ..Failing::at(10, Err(died())) }.named();
+    let unknown = FailingController { identity: None, ..FailingController::at(10, Err(died())) }.named();
     let refused = campaign(unknown)
         .run(&out, CampaignOptions { resume: true, ..Default::default() }, &Quiet)
         .unwrap_err()
@@ -205,7 +205,7 @@ fn an_assessment_says_who_failed_and_when() {
     (config.draws, config.search.budget, config.rates.runs, config.everyday_draws) = (20, 5, 0, 4);
     (config.search.spaces, config.certificates) = (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     config.distributions = Some(vec!["paper".to_owned()]);
-    let own = [Failing::at(100, Ok(f64::NAN)).named()];
+    let own = [FailingController::at(100, Ok(f64::NAN)).named()];
     let plan = AssessmentPlan::new(config, own, std::path::Path::new("")).unwrap();
     let assessment = assess(&plan, &Store::none(), None, &Quiet).unwrap();
     let case = &assessment.paper_scenarios.as_ref().unwrap().scenarios[0].cases[1];

@@ -4,15 +4,15 @@ use std::fs;
 use std::path::PathBuf;
 
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass, ExpectedFile};
-use crumple_world::scenario::file::{EXPECTED, load};
+use crumple_world::scenario::file::{EXPECTED_FILE_NAME, load};
 
-fn folder() -> PathBuf {
+fn scenario_corpus() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpora/scenarios")
 }
 
 #[test]
 fn every_kept_scenario_still_ends_as_recorded() {
-    let path = folder().join(EXPECTED);
+    let path = folder().join(EXPECTED_FILE_NAME);
     let mut index = ExpectedFile::load(&path).unwrap();
     if std::env::var_os("UPDATE_CORPORA").is_some() {
         for expected in &mut index.expected {
@@ -44,7 +44,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
             file.starts_with(&expected.controller) || (file.starts_with("policy") && expected.policy_sha256.is_some())
         });
         assert!(named.is_some_and(|expected| expected.violated), "{file}: whoever it is named after does not fail");
-        let class = Avoidability::of_contact(&load(&path).unwrap());
+        let class = Avoidability::classify_contact(&load(&path).unwrap());
         for expected in own {
             let recorded = if expected.violated { class.class() } else { AvoidabilityClass::NotAsked };
             assert_eq!(expected.avoidable, recorded, "{file}");

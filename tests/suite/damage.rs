@@ -12,7 +12,7 @@ use crumple_core::observer::{Listener, Progress};
 use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, Settings};
-use crumple_learn::rl::{Event, HeldOut, TrainingConfig, TrainingFolder};
+use crumple_learn::rl::{Event, EvaluationSet, TrainingConfig, TrainingFolder};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_world::control::ControllerSpec;
@@ -22,11 +22,11 @@ use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
 use tempfile::TempDir;
 
-/// Places of each file that are changed, one at a time, unless the variable `FLIPS` says otherwise.
-const FLIPS: usize = 8;
+/// Places of each file that are changed, one at a time, unless the variable `DEFAULT_FLIPS` says otherwise.
+const DEFAULT_FLIPS: usize = 8;
 
 /// One kind of work: does it in a folder by a seed, or goes on with it; is told how far it is.
-type Working = fn(&Path, u64, &(dyn Fn() + Sync)) -> Result<(), String>;
+type ResumableWork = fn(&Path, u64, &(dyn Fn() + Sync)) -> Result<(), String>;
 
 fn campaign(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let campaign = Campaign {
@@ -81,7 +81,7 @@ fn training(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
     config.episodes = 33;
     let error = |error: crumple_learn::rl::TrainingError| error.to_string();
     let training = TrainingFolder::open(folder, &config, seed, true).map_err(error)?;
-    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     training.train(&held_out, &Listener(|_: &Event| tick())).map(|_| ()).map_err(error)
 }
 
@@ -112,12 +112,12 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
 }
 
 /// A folder, in memory where the system has such: thousands of resumptions need no disk.
-pub(crate) fn scratch() -> TempDir {
+pub(crate) fn scratch_folder() -> TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
 /// All files of a folder by name, but for those that hold nothing.
-pub(crate) fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     fn gather(root: &Path, folder: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
         for entry in fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -134,7 +134,7 @@ pub(crate) fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     found
 }
 
-fn write(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
+fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in files {
         let path = folder.join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -143,7 +143,7 @@ fn write(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {
 }
 
 /// The files that work leaves behind that is stopped at a tick, or never.
-fn left_behind(work: Working, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
+fn files_after_stop(work: ResumableWork, seed: u64, stop: Option<usize>) -> BTreeMap<String, Vec<u8>> {
     let (folder, ticks) = (scratch(), AtomicUsize::new(0));
     let tick = || {
         if stop == Some(ticks.fetch_add(1, Ordering::SeqCst) + 1) {
@@ -157,8 +157,8 @@ fn left_behind(work: Working, seed: u64, stop: Option<usize>) -> BTreeMap<String
 }
 
 /// A file changed in every way, each with what was done to it.
-fn changed<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
-    let flips = std::env::var("FLIPS").ok().and_then(|flips| flips.parse().ok()).unwrap_or(FLIPS);
+fn damaged_variants<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Item = (String, Option<Vec<u8>>)> + 'a {
+    let flips = std::env::var("FLIPS").ok().and_then(|flips| flips.parse().ok()).unwrap_or(DEFAULT_FLIPS);
     let flipped = (0..flips.min(8 * bytes.len())).map(move |flip| {
         let bit = flip * (8 * bytes.len() - 1) / (flips - 1).max(1);
         let mut bytes = bytes.to_vec();
@@ -172,7 +172,7 @@ fn changed<'a>(bytes: &'a [u8], other: Option<&'a Vec<u8>>) -> impl Iterator<Ite
 }
 
 /// Damages each file of begun work, or of complete work, in every way. Returns the number of changes that are refused.
-fn attack(work: Working, stop: Option<usize>) -> usize {
+fn count_refused_damage(work: ResumableWork, stop: Option<usize>) -> usize {
     let genuine = left_behind(work, 1, None);
     let (begun, other) = (left_behind(work, 1, stop), left_behind(work, 2, stop));
     let (mut refused, mut same) = (0, 0);
@@ -213,7 +213,7 @@ fn attack(work: Working, stop: Option<usize>) -> usize {
     refused
 }
 
-pub(crate) fn assert_same(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
+pub(crate) fn assert_same_contents(found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>, what: &str) {
     let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(found), names(expected), "{what}");
     for (name, bytes) in found {

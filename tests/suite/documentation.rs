@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Returns a file, or all files of a folder and of those in it.
-fn files(path: PathBuf) -> Vec<PathBuf> {
+fn files_below(path: PathBuf) -> Vec<PathBuf> {
     match fs::read_dir(&path) {
         Ok(entries) => entries.flat_map(|entry| files(entry.unwrap().path())).collect(),
         Err(_) => vec![path],
@@ -13,7 +13,7 @@ fn files(path: PathBuf) -> Vec<PathBuf> {
 }
 
 /// Returns the commands of each page that users read.
-fn commands() -> BTreeMap<String, Vec<String>> {
+fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = BTreeMap::new();
     for folder in ["docs", "corpora", "examples", "python", "reports", "README.md", "CONTRIBUTING.md"] {

@@ -11,11 +11,11 @@ use proptest::prelude::*;
 use crate::generate::{any_after_contact, any_setup, any_shape, cases, scenario_of};
 
 /// A scenario and how to run it.
-type Case = (Scenario, Setup);
+type ScenarioSetup = (Scenario, Setup);
 
 /// A shape and its twin that differs in one thing, with a few runs of each, shuffled: runs of one shape share a block and
 /// differ in everything else, and runs of the twin must not get into it.
-fn batch() -> impl Strategy<Value = Vec<Case>> {
+fn any_batch() -> impl Strategy<Value = Vec<ScenarioSetup>> {
     let alike = |shape: &Shape, setup: &Setup| {
         let setup = setup.clone();
         let after = move |after_contact| Setup { after_contact, ..setup.clone() };
@@ -37,8 +37,8 @@ fn batch() -> impl Strategy<Value = Vec<Case>> {
         .prop_shuffle()
 }
 
-fn runs<'s>(cases: impl IntoIterator<Item = &'s Case>) -> Vec<Run> {
-    let run = |(scenario, setup): &'s Case| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
+fn build_runs<'s>(cases: impl IntoIterator<Item = &'s ScenarioSetup>) -> Vec<Run> {
+    let run = |(scenario, setup): &'s ScenarioSetup| Run::new(scenario, setup.options(scenario.spec().step_s)).expect("fits");
     cases.into_iter().map(run).collect()
 }
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use crumple_fuzzing::oracle::estimates_are_sane;
 use crumple_world::control::ControllerSpec;
-use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Inertia, Sensor, TrueState};
+use crumple_world::estimate::{EgoEstimator, EgoTuning, Filter, Accelerometer, Sensor, TrueState};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::random::Purpose;
 use crumple_world::scenario::{PaperDistribution, Scenario, Sensors, built_in};
@@ -22,7 +22,7 @@ use self::world::WhiteJerk;
 use crate::generate::{any_test_case, ask, cases, traced};
 
 /// Whether a sum of `count` squared standard normal numbers lies within the band that holds a `share` of such sums.
-fn in_band(sum: f64, count: usize, share: f64) -> bool {
+fn is_in_band(sum: f64, count: usize, share: f64) -> bool {
     let chi_square = ChiSquared::new(count as f64).expect("positive");
     let tail = 0.5 * (1.0 - share);
     (chi_square.inverse_cdf(tail)..=chi_square.inverse_cdf(1.0 - tail)).contains(&sum)
@@ -52,7 +52,7 @@ fn innovations_are_chi_square_in_the_world_the_filter_believes_in() {
         }
         let count: usize = normalised.iter().map(Vec::len).sum();
         let nis: f64 = normalised.iter().flatten().map(|innovation| innovation * innovation).sum();
-        assert!(in_band(nis, count, 0.999), "dropout {dropout}: mean NIS {} of {count}", nis / count as f64);
+        assert!(is_in_band(nis, count, 0.999), "dropout {dropout}: mean NIS {} of {count}", nis / count as f64);
         let neighbours: f64 = normalised.iter().flat_map(|run| run.windows(2)).map(|pair| pair[0] * pair[1]).sum();
         let deviations = neighbours / (count as f64).sqrt();
         assert!(deviations.abs() < 3.3, "dropout {dropout}: neighbours correlate, {deviations} deviations from 0");
@@ -73,14 +73,14 @@ fn errors_have_the_deviations_the_filter_says() {
                 filter.update(&tuning, sensor.measure(world.distance_m()));
                 world.step();
             }
-            world.error_of_prediction(&tuning, &filter)
+            world.prediction_error(&tuning, &filter)
         })
         .collect();
     let deviations = EgoTuning::new(WhiteJerk::STEP_S, &sensors).gap().steady_deviations();
     for (component, deviation) in deviations.into_iter().enumerate() {
         let of = |error: &[f64; 3]| error[component] / deviation;
         let squares: f64 = errors.iter().map(|error| of(error).powi(2)).sum();
-        assert!(in_band(squares, errors.len(), 0.999), "component {component}: {}", squares / errors.len() as f64);
+        assert!(is_in_band(squares, errors.len(), 0.999), "component {component}: {}", squares / errors.len() as f64);
         let mean = errors.iter().map(of).sum::<f64>() / (RUNS as f64).sqrt();
         assert!(mean.abs() < 3.3, "component {component}: bias of {mean} deviations of the mean");
     }
@@ -90,12 +90,12 @@ fn errors_have_the_deviations_the_filter_says() {
 /// second after a neighbour surprised it and for all that is not within 1.5 s of a surprise.
 #[derive(Default)]
 struct Consistency {
-    surprised: (f64, usize),
-    otherwise: (f64, usize),
+    after_surprise: (f64, usize),
+    undisturbed: (f64, usize),
 }
 
 /// The same filter on the very measurements of a run: same seed, purpose and vehicle.
-fn consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consistency {
+fn measure_consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consistency {
     let (spec, ego) = (scenario.spec(), 1);
     let options = RunOptions::new(ControllerSpec::named(controller).expect("built in"));
     let trace = traced(scenario, &options).trace.expect("kept");
@@ -113,7 +113,7 @@ fn consistency(scenario: &Scenario, controller: &str, channel: Purpose) -> Consi
     let mut sensor = Sensor::new(spec.seed, channel, ego, noise_m, &spec.sensors);
     let mut filter = Filter::running(tuning, truth_m[0], rate_mps, [0.0; 3]);
     let own = &trace.vehicles[ego];
-    let mut inertia = Inertia::cruising(own.speed_mps[0]);
+    let mut inertia = Accelerometer::cruising(own.speed_mps[0]);
     let mut found = Consistency::default();
     let mut since_surprise = usize::MAX;
     // The last sample is the contact, which comes between two measurements.
@@ -154,7 +154,7 @@ fn nis_of_simulated_runs_is_in_band_unless_a_neighbour_has_just_slammed_on_its_b
         for channel in [Purpose::PositionSensor, Purpose::GapAheadSensor, Purpose::GapBehindSensor] {
             let draw = |index| PaperDistribution { seed: 21 }.draw(index).expect("valid");
             let runs: Vec<_> = (0..300).map(|index| consistency(&draw(index), controller, channel)).collect();
-            let inside = runs.iter().filter(|run| in_band(run.otherwise.0, run.otherwise.1, 0.95)).count();
+            let inside = runs.iter().filter(|run| is_in_band(run.otherwise.0, run.otherwise.1, 0.95)).count();
             assert!(inside >= 265, "{controller} {channel:?}: {inside} of 300 runs inside");
             let mean = |of: fn(&Consistency) -> (f64, usize)| {
                 let (sum, count) = runs.iter().map(of).fold((0.0, 0), |all, one| (all.0 + one.0, all.1 + one.1));

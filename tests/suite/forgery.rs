@@ -33,13 +33,13 @@ enum Verdict {
     /// It is accepted, and the original implies what it claims.
     Implied,
     /// It is accepted, is about another subject than the original, or of version 1 and about none, and its proof is whole.
-    OfAnother,
+    OtherSubject,
     /// It is accepted, and claims of the original's subject what the original does not show.
     Forgery,
 }
 
 /// What becomes of a forged certificate, if counts are counted again.
-fn judged(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
+fn judge_forgery(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
     let Ok(certificate) = Certificate::from_json(&forged.text) else { return Verdict::Refused };
     let policy = forged.policy.as_deref();
     // What costs least comes first.
@@ -57,14 +57,14 @@ fn judged(genuine: &Genuine, shown: &Accepted, forged: &Forged) -> Verdict {
     // Version 1 is about numbers of its own, all of which the checker has looked at; only what it leaves out could mislead.
     let is_of_it = if certificate.is_old() {
         let is_about = |scenario: &Scenario| lies_within(&certificate, scenario, policy).is_ok();
-        !assumes_as_much(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
+        !has_all_assumptions(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
     } else {
         is_of_same_subject(&genuine.certificate, &certificate)
     };
     if is_of_it { Verdict::Forgery } else { Verdict::OfAnother }
 }
 
-fn assumes_as_much(original: &Certificate, claimed: &Certificate) -> bool {
+fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
     original.assumptions.iter().all(|assumption| claimed.assumptions.contains(assumption))
 }
 
@@ -80,7 +80,7 @@ fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
 fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -> bool {
     // Version 1 speaks of no subject: its numbers are all that it says.
     let is_of_it = claimed.is_old() || is_of_same_subject(original, claimed);
-    assumes_as_much(original, claimed)
+    has_all_assumptions(original, claimed)
         && is_of_it
         && match (&original.statement, &claimed.statement, shown) {
             (Statement::Avoidable(one), Statement::Avoidable(other), Accepted::Avoidable { smallest_gap_m, .. }) => {
@@ -138,7 +138,7 @@ fn is_implied(original: &Certificate, shown: &Accepted, claimed: &Certificate) -
         }
 }
 
-fn of_scene(scenario: &Scenario) -> Genuine {
+fn avoidability_certificate(scenario: &Scenario) -> Genuine {
     let certificate = match avoid(scenario, AvoidOptions::default()).expect("options fit").verdict {
         AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).expect("accepted"),
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
@@ -147,13 +147,13 @@ fn of_scene(scenario: &Scenario) -> Genuine {
     Genuine { certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
-fn bounded(scenario: &Scenario) -> Genuine {
+fn gap_bound_certificate(scenario: &Scenario) -> Genuine {
     let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
     let certificate = avoid(scenario, options).expect("options fit").bound_certificate.expect("a bound");
     Genuine { certificate: *certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
-fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
+fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     let find = |name: &str| NamedController::from(ControllerSpec::named(name).expect("built in"));
     let plan = RatePlan::new(RateConfig {
         against: against.map(find),
@@ -164,12 +164,12 @@ fn counted(controller: &str, against: Option<&str>, runs: u64) -> Genuine {
     .expect("a plan");
     let mut tally = plan.tally();
     while tally.runs < runs {
-        plan.count_block(&mut tally).expect("runs");
+        plan.count_batch(&mut tally).expect("runs");
     }
     Genuine { certificate: plan.certificate(&tally), policy: None, scenario: None }
 }
 
-fn reach(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
+fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
     let text = format!(
         "version = 1\nscenario = \"paper-2\"\n{of_leader}[ranges]\ngap_ahead_m = {{ low = 15.9, high = 16.1 }}"
     );
@@ -179,18 +179,18 @@ fn reach(controller: impl Into<ControllerKind>, of_leader: &str) -> Genuine {
     Genuine { certificate, policy: Some(plan.policy_bytes().to_vec()), scenario: built_in("paper-2") }
 }
 
-fn network(name: &str) -> std::path::PathBuf {
+fn controller_corpus_path(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
 }
 
-fn cruise(cells: u32) -> Genuine {
+fn cruise_certificate(cells: u32) -> Genuine {
     let plan = CruisePlan::new(NetworkFile::load(&network("acc-5x20.onnx")).expect("there")).expect("fits");
     let certificate = plan.prove(cells).expect("bounded").certificate;
     Genuine { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
 
 /// One of every kind, two of most.
-fn genuine() -> Vec<Genuine> {
+fn genuine_certificates() -> Vec<Genuine> {
     let paper = built_in("paper-1").expect("built in");
     let close = paper.edited(|spec| spec.vehicles[1].speed_mps = 60.0).expect("valid");
     let noisy = paper.edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).expect("valid");

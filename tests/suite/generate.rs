@@ -15,12 +15,12 @@ use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, Simulate
 use proptest::prelude::*;
 
 /// Runs a scenario with everything recorded.
-pub(crate) fn traced(scenario: &Scenario, options: &RunOptions) -> Simulated {
+pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> Simulated {
     simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
 }
 
 /// Asks an oracle; a test case that rounding decides does not count.
-pub(crate) fn ask(test_case: &TestCase, oracle: Oracle) -> Result<(), TestCaseError> {
+pub(crate) fn check_oracle(test_case: &TestCase, oracle: Oracle) -> Result<(), TestCaseError> {
     match test_case.ask(oracle, &Crumple) {
         Ok(Checked::Holds | Checked::DoesNotApply) => Ok(()),
         Ok(Checked::Undecided) => Err(TestCaseError::reject("rounding decides it")),
@@ -29,18 +29,18 @@ pub(crate) fn ask(test_case: &TestCase, oracle: Oracle) -> Result<(), TestCaseEr
 }
 
 /// Random bytes, always as many: what shrinks is their values.
-pub(crate) fn bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
+pub(crate) fn any_bytes(count: usize) -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(any::<u8>(), count)
 }
 
 /// Any test case.
 pub(crate) fn any_test_case() -> impl Strategy<Value = TestCase> {
-    bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::of_bytes(&bytes))
+    bytes(TEST_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes(&bytes))
 }
 
 /// Any test case in which vehicles may enter the lane and leave it.
 pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
-    bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::with_lanes(&bytes))
+    bytes(LANE_CASE_BYTES).prop_map(|bytes| TestCase::from_bytes_with_lanes(&bytes))
 }
 
 /// Any valid scenario, with all that a file can say.
@@ -49,7 +49,7 @@ pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
 }
 
 /// Any scenario of a shape.
-pub(crate) fn scenario_of(shape: &Shape) -> impl Strategy<Value = Scenario> + use<> {
+pub(crate) fn any_scenario_of_shape(shape: &Shape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
     bytes(SCENARIO_BYTES).prop_map(move |bytes| crumple_fuzzing::scenario_of(&shape, &mut Unstructured::new(&bytes)))
 }
@@ -81,13 +81,13 @@ pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
 }
 
 /// A scenario without noise, reaction or actuator delays left as they are.
-pub(crate) fn noise_free(scenario: &Scenario) -> Scenario {
+pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
     let quiet = |spec: &mut ScenarioSpec| spec.vehicles.iter_mut().for_each(|v| v.acceleration_noise_mps2 = 0.0);
     scenario.edited(quiet).expect("still valid")
 }
 
 /// A scenario without learned drivers, who look behind and round to single precision.
-pub(crate) fn unlearned(scenario: &Scenario) -> Scenario {
+pub(crate) fn without_learned_drivers(scenario: &Scenario) -> Scenario {
     let learned = Driver::Controller(ControllerSpec::Policy(Default::default()));
     let replace = |spec: &mut ScenarioSpec| {
         for vehicle in spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == learned) {

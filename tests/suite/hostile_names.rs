@@ -20,7 +20,7 @@ const NAME: &str =
 const FILE: &str =
     "x\u{1b}]0;PWNED\u{7}\u{9b}2J\n# no contact\n| a | b |\n\u{202e};touch PWNED;# <script>alert(1)<\\script> `'\"";
 
-fn assert_shown(what: &str, text: &str) {
+fn assert_no_hidden_characters(what: &str, text: &str) {
     let hidden = text.chars().find(|&letter| is_hidden(letter) && !"\n\t".contains(letter));
     assert!(hidden.is_none(), "{what} holds {hidden:?}: {text}");
 }
@@ -81,7 +81,7 @@ fn reports_show_hostile_names_as_text() {
     let text = |wanted: &str| {
         let (name, bytes) = files.iter().find(|(name, _)| name == wanted).expect("written");
         let text = String::from_utf8(bytes.clone()).expect("text");
-        assert_shown(name, &text);
+        assert_no_hidden_characters(name, &text);
         text
     };
     assert_harmless_markdown(&text("assessment.md"));
@@ -92,7 +92,7 @@ fn reports_show_hostile_names_as_text() {
         }
     }
     saphyr::Yaml::load_from_str(&text("assessment.gsn.yaml")).expect("YAML");
-    assert_shown("the first page", &crumple_core::quoted::Lines(&assessment.first_page.plain()).to_string());
+    assert_no_hidden_characters("the first page", &crumple_core::quoted::Lines(&assessment.first_page.plain()).to_string());
     let replayed = files.iter().find(|(name, _)| name == "replay.sh").expect("written");
     for line in String::from_utf8_lossy(&replayed.1).lines().filter(|line| line.starts_with("run ")) {
         let words = shlex::split(line).expect("words of a shell");
@@ -143,7 +143,7 @@ fn terminals_show_hostile_names_as_text() {
         let (said, noted) = (String::from_utf8(output.stdout.clone()), String::from_utf8(output.stderr.clone()));
         let (said, noted) = (said.expect("text"), noted.expect("text"));
         assert_eq!(code(&output), *expected, "{arguments:?}: {noted}");
-        assert_shown(&format!("{arguments:?}"), &(said.clone() + &noted));
+        assert_no_hidden_characters(&format!("{arguments:?}"), &(said.clone() + &noted));
         if arguments.contains(&"json") {
             said.lines().for_each(|line| drop(serde_json::from_str::<serde_json::Value>(line).expect("JSON")));
         } else {

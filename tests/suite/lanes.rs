@@ -35,7 +35,7 @@ proptest! {
 }
 
 /// The first test cases of the strategy, always the same ones.
-fn first(count: usize) -> Vec<TestCase> {
+fn first_lane_cases(count: usize) -> Vec<TestCase> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(|_| any_lane_case().new_tree(&mut runner).unwrap().current()).collect()
 }
@@ -64,16 +64,16 @@ fn what_is_generated_changes_lanes() {
 
 /// The program with something wrong about lanes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Wrong {
+enum LaneFault {
     /// Whoever enters is said to have been there.
-    Forgotten,
+    EntryForgotten,
     /// Entering at the start takes a moment.
-    Late,
+    EntryLate,
     /// The first vehicle feels who leaves.
-    Felt,
+    LeaderMoved,
 }
 
-impl System for Wrong {
+impl System for LaneFault {
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
         let scenario = run.scenario();
         let late = scenario.edited(|spec| {
@@ -99,13 +99,13 @@ impl System for Wrong {
 
 #[test]
 fn laws_of_lanes_notice_their_faults() {
-    let wrong: [(Wrong, Oracle, Law); 6] = [
-        (Wrong::Forgotten, lanes_are_kept, Law::Lanes),
-        (Wrong::Forgotten, one_story, Law::OneStory),
-        (Wrong::Forgotten, monitor_agrees, Law::Monitor),
-        (Wrong::Forgotten, estimates_are_sane, Law::Estimates),
-        (Wrong::Late, entering_at_once_is_being_there, Law::Lanes),
-        (Wrong::Felt, who_leaves_behind_changes_nothing_ahead, Law::Lanes),
+    let wrong: [(LaneFault, Oracle, Law); 6] = [
+        (LaneFault::Forgotten, lanes_are_kept, Law::Lanes),
+        (LaneFault::Forgotten, one_story, Law::OneStory),
+        (LaneFault::Forgotten, monitor_agrees, Law::Monitor),
+        (LaneFault::Forgotten, estimates_are_sane, Law::Estimates),
+        (LaneFault::Late, entering_at_once_is_being_there, Law::Lanes),
+        (LaneFault::Felt, who_leaves_behind_changes_nothing_ahead, Law::Lanes),
     ];
     let all = first(400);
     for (fault, oracle, law) in wrong {

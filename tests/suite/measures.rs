@@ -7,15 +7,15 @@ use serde_json::Value;
 use crate::command_line::{code, crumple, folder};
 
 /// One sample of a vehicle: time, speed, gap to the one ahead.
-struct Sample {
+struct TrackSample {
     time_s: f64,
     speed_mps: f64,
     gap_m: Option<f64>,
 }
 
 /// The tracks of a trace in long form, front to rear.
-fn tracks(csv: &str) -> Vec<Vec<Sample>> {
-    let mut tracks: Vec<Vec<Sample>> = Vec::new();
+fn parse_tracks(csv: &str) -> Vec<Vec<TrackSample>> {
+    let mut tracks: Vec<Vec<TrackSample>> = Vec::new();
     for line in csv.lines().skip(1) {
         let fields: Vec<&str> = line.split(',').collect();
         let number = |index: usize| fields[index].parse::<f64>().ok();
@@ -23,7 +23,7 @@ fn tracks(csv: &str) -> Vec<Vec<Sample>> {
         if vehicle == tracks.len() {
             tracks.push(Vec::new());
         }
-        tracks[vehicle].push(Sample {
+        tracks[vehicle].push(TrackSample {
             time_s: number(0).expect("a time"),
             speed_mps: number(3).expect("a speed"),
             gap_m: number(5),

@@ -21,18 +21,18 @@ use serde::Deserialize;
 use crate::command_line::{code, crumple};
 use crate::schema::{assert_committed, validate};
 
-fn corpus() -> PathBuf {
+fn controller_corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers")
 }
 
 /// Observations, and what the maker of a network answers to them.
 #[derive(Deserialize)]
-struct Expected {
+struct ReferenceAnswers {
     inputs: Vec<Vec<f32>>,
     answers: Vec<Vec<f64>>,
 }
 
-fn expected(file: &str) -> BTreeMap<String, Expected> {
+fn load_reference_answers(file: &str) -> BTreeMap<String, ReferenceAnswers> {
     serde_json::from_str(&fs::read_to_string(corpus().join(file)).expect("there")).expect("as it was written")
 }
 
@@ -82,15 +82,15 @@ fn networks_agree_with_their_makers() {
     }
 }
 
-fn kind(name: &str) -> ControllerKind {
+fn controller_kind(name: &str) -> ControllerKind {
     NamedController::find(name, &corpus()).unwrap_or_else(|error| panic!("{error}")).kind
 }
 
-fn draws(count: u64) -> Vec<Scenario> {
+fn draw_scenarios(count: u64) -> Vec<Scenario> {
     (0..count).map(|index| PaperDistribution { seed: 20 }.draw(index).unwrap()).collect()
 }
 
-fn together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Simulated> {
+fn simulate_together(scenarios: &[Scenario], kinds: &[ControllerKind]) -> Vec<Simulated> {
     let run = |(index, scenario): (usize, _)| {
         Run::new(scenario, RunOptions::new(kinds[index % kinds.len()].clone())).unwrap()
     };
@@ -205,7 +205,7 @@ fn what_decides_how_a_network_drives_is_its_identity() {
     let text = fs::read_to_string(corpus().join("acc.toml")).unwrap();
     let identity = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
-        NamedController::find("a.toml", folder.path()).unwrap().identity_beside_name().expect("not said by its name")
+        NamedController::find("a.toml", folder.path()).unwrap().disambiguating_hash().expect("not said by its name")
     };
     let own = identity(&text);
     assert_eq!(Some(&own), kind("acc.toml").identity().as_ref());
@@ -282,14 +282,14 @@ fn networks_that_need_a_controller_file_say_so() {
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
 }
 
-fn normalised(name: &str) -> PathBuf {
+fn normalised_path(name: &str) -> PathBuf {
     corpus().join("normalised").join(name)
 }
 
 /// The file of a model trained behind `VecNormalize` tells so, with its statistics beside it or without.
 #[test]
 fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
-    use crumple_world::network::VecNormalizeTrace as Trace;
+    use crumple_world::network::VecNormalizeUse as Trace;
     let trace = |path: &Path| NetworkFile::load(path).unwrap().saved_model().unwrap().trace;
     assert_eq!(trace(&normalised("ppo.zip")), Trace::Behind);
     assert_eq!(["ppo.zip", "sac.zip"].map(|name| trace(&corpus().join(name))), [Trace::None, Trace::Unknown]);
@@ -299,7 +299,7 @@ fn a_model_behind_vec_normalize_needs_to_be_told_what_that_did() {
     let untold = told.replace("normalised = true\n", "");
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
-        NamedController::find("a.toml", folder.path()).map(|found| found.identity_beside_name())
+        NamedController::find("a.toml", folder.path()).map(|found| found.disambiguating_hash())
     };
     fs::copy(normalised("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let said = find(&untold).expect_err("not told").to_string();
@@ -489,7 +489,7 @@ fn weights_in_pytorchs_old_format_are_named() {
 }
 
 /// Runs an example of `examples/controllers` where Python has what it needs; whether it did.
-fn example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
+fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> bool {
     let python = |arguments: &[&str]| {
         let mut python = std::process::Command::new("python3");
         python.args(arguments).current_dir(folder).env("PYTHONDONTWRITEBYTECODE", "1").output()

@@ -14,19 +14,19 @@ use crumple_world::scenario::VehicleClass;
 
 use term::Term;
 
-fn folder() -> PathBuf {
+fn obligations_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("verify/obligations")
 }
 
 /// A limit as an exact quotient.
-fn quotient(limit_mps2: f64) -> [String; 2] {
+fn exact_quotient(limit_mps2: f64) -> [String; 2] {
     let halvings =
         (0..40).find(|&k| (limit_mps2 * 2.0_f64.powi(k)).fract() == 0.0).expect("a limit has few binary places");
     [limit_mps2 * 2.0_f64.powi(halvings), 2.0_f64.powi(halvings)].map(|whole| format!("{whole:.0}"))
 }
 
 /// What the code computes, by the names that the statements have for it.
-fn of_code() -> [(&'static str, String); 13] {
+fn code_terms() -> [(&'static str, String); 13] {
     let [b, c, v, w, a, h, zero] = ["b", "c", "v", "w", "a", "h", "0.0"].map(Term::named);
     let demanded = Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w);
     let [covered, speed] = moved(v, a, h);

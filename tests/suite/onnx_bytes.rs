@@ -4,13 +4,13 @@ use rand::RngExt;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// A node of the chain with its constants.
-pub(crate) enum Node {
+pub(crate) enum TestOnnxNode {
     /// Numbers in, numbers out, W row after row (one row an input), b.
     Gemm(usize, usize, Vec<f32>, Vec<f32>),
     /// An operator without constants, and its attribute.
-    Plain(&'static str, Vec<(&'static str, f32)>),
+    Unary(&'static str, Vec<(&'static str, f32)>),
     /// An operator with one number for each number.
-    With(&'static str, Vec<f32>),
+    WithConstant(&'static str, Vec<f32>),
 }
 
 fn varint(mut number: usize) -> Vec<u8> {
@@ -23,27 +23,27 @@ fn varint(mut number: usize) -> Vec<u8> {
     all
 }
 
-fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
+fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     [vec![number << 3 | 2], varint(bytes.len()), bytes.to_vec()].concat()
 }
 
-fn small(number: u8, value: usize) -> Vec<u8> {
+fn varint_field(number: u8, value: usize) -> Vec<u8> {
     [vec![number << 3], varint(value)].concat()
 }
 
-fn constant(name: &str, shape: &[usize], numbers: &[f32]) -> Vec<u8> {
+fn tensor(name: &str, shape: &[usize], numbers: &[f32]) -> Vec<u8> {
     let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
     let dims: Vec<u8> = shape.iter().flat_map(|&size| small(1, size)).collect();
     [dims, small(2, 1), field(8, name.as_bytes()), field(9, &raw)].concat()
 }
 
-fn shaped(name: &str, width: usize) -> Vec<u8> {
+fn value_info(name: &str, width: usize) -> Vec<u8> {
     let dims = [1, width].map(|size| field(1, &small(1, size))).concat();
     [field(1, name.as_bytes()), field(2, &field(1, &[small(1, 1), field(2, &dims)].concat()))].concat()
 }
 
 /// A model (opset 9) that takes one row of `inputs` numbers.
-pub(crate) fn model(inputs: usize, nodes: &[Node]) -> Vec<u8> {
+pub(crate) fn model_bytes(inputs: usize, nodes: &[TestOnnxNode]) -> Vec<u8> {
     let (mut graph, mut constants, mut width) = (Vec::new(), Vec::new(), inputs);
     let mut add = |shape: &[usize], numbers: &[f32]| {
         let name = format!("c{}", constants.len());
@@ -53,14 +53,14 @@ pub(crate) fn model(inputs: usize, nodes: &[Node]) -> Vec<u8> {
     for (index, node) in nodes.iter().enumerate() {
         let mut names = vec![format!("h{index}")];
         let (operator, attributes) = match node {
-            Node::Gemm(before, after, weights, biases) => {
+            TestOnnxNode::Gemm(before, after, weights, biases) => {
                 names.push(add(&[*before, *after], weights));
                 names.push(add(&[*after], biases));
                 width = *after;
                 ("Gemm", &[][..])
             }
-            Node::Plain(operator, attributes) => (*operator, attributes.as_slice()),
-            Node::With(operator, numbers) => {
+            TestOnnxNode::Plain(operator, attributes) => (*operator, attributes.as_slice()),
+            TestOnnxNode::With(operator, numbers) => {
                 names.push(add(&[numbers.len()], numbers));
                 (*operator, &[][..])
             }
@@ -81,28 +81,28 @@ pub(crate) fn model(inputs: usize, nodes: &[Node]) -> Vec<u8> {
 }
 
 /// A product with random weights of such a size that numbers stay of order one.
-pub(crate) fn product(before: usize, after: usize, gain: f32, random: &mut Xoshiro256PlusPlus) -> Node {
+pub(crate) fn random_product(before: usize, after: usize, gain: f32, random: &mut Xoshiro256PlusPlus) -> TestOnnxNode {
     let scale = gain * (3.0 / before as f32).sqrt();
     let weights = (0..before * after).map(|_| scale * random.random_range(-1.0..1.0_f32)).collect();
     let biases = (0..after).map(|_| 0.3 * random.random_range(-1.0..1.0_f32)).collect();
-    Node::Gemm(before, after, weights, biases)
+    TestOnnxNode::Gemm(before, after, weights, biases)
 }
 
 /// Something that can be done to each number.
-pub(crate) fn any_each(width: usize, random: &mut Xoshiro256PlusPlus) -> Node {
+pub(crate) fn any_elementwise(width: usize, random: &mut Xoshiro256PlusPlus) -> TestOnnxNode {
     let mut operands =
         |low: f32, high: f32| -> Vec<f32> { (0..width).map(|_| random.random_range(low..high)).collect() };
     let (some, away_from_0) = (operands(-1.0, 1.0), operands(0.5, 2.0));
     let number = some[0];
     match random.random_range(0..9_u32) {
-        0 => Node::Plain("Relu", vec![]),
-        1 => Node::Plain("LeakyRelu", vec![("alpha", 0.5 * number)]),
-        2 => Node::Plain("Elu", vec![("alpha", number.abs())]),
-        3 => Node::Plain("Tanh", vec![]),
-        4 => Node::Plain("Sigmoid", vec![]),
-        5 => Node::With("Add", some),
-        6 => Node::With("Mul", some),
-        7 => Node::With("Div", away_from_0),
-        _ => Node::Plain("Clip", vec![("min", number - 0.5), ("max", number + 0.5)]),
+        0 => TestOnnxNode::Plain("Relu", vec![]),
+        1 => TestOnnxNode::Plain("LeakyRelu", vec![("alpha", 0.5 * number)]),
+        2 => TestOnnxNode::Plain("Elu", vec![("alpha", number.abs())]),
+        3 => TestOnnxNode::Plain("Tanh", vec![]),
+        4 => TestOnnxNode::Plain("Sigmoid", vec![]),
+        5 => TestOnnxNode::With("Add", some),
+        6 => TestOnnxNode::With("Mul", some),
+        7 => TestOnnxNode::With("Div", away_from_0),
+        _ => TestOnnxNode::Plain("Clip", vec![("min", number - 0.5), ("max", number + 0.5)]),
     }
 }

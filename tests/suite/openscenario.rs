@@ -14,17 +14,17 @@ use roxmltree::{Document, Node};
 use crate::generate::{any_scenario, cases, traced};
 
 /// Best agreement asked for: a centimetre, and a centimetre a second.
-const CLOSE: f64 = 0.01;
+const TOLERANCE: f64 = 0.01;
 
-fn number(node: Node<'_, '_>, attribute: &str) -> f64 {
+fn number_attribute(node: Node<'_, '_>, attribute: &str) -> f64 {
     node.attribute(attribute).expect("stated").parse().expect("a number")
 }
 
-fn all<'a>(node: Node<'a, 'a>, name: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
+fn descendants_named<'a>(node: Node<'a, 'a>, name: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
     node.descendants().filter(move |found| found.has_tag_name(name))
 }
 
-fn only<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
+fn single_descendant<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
     let mut found = all(node, name);
     let first = found.next().unwrap_or_else(|| panic!("no {name}"));
     assert!(found.next().is_none(), "more than one {name}");
@@ -32,7 +32,7 @@ fn only<'a>(node: Node<'a, 'a>, name: &'static str) -> Node<'a, 'a> {
 }
 
 /// The entity of a name: how far its front bumper is ahead of its reference point, in metres.
-fn front_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
+fn front_offset_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
     let object = all(document.root_element(), "ScenarioObject").find(|found| found.attribute("name") == Some(entity));
     let (middle, size) = (only(object.expect("declared"), "Center"), only(object.expect("declared"), "Dimensions"));
     assert!((number(size, "length") - length_m).abs() < 1e-8);
@@ -40,7 +40,7 @@ fn front_m(document: &Document<'_>, entity: &str, length_m: f64) -> f64 {
 }
 
 /// What a list says at a time, linear in between and held outside.
-fn at(points: &[(f64, f64)], time_s: f64) -> f64 {
+fn interpolate(points: &[(f64, f64)], time_s: f64) -> f64 {
     match points.partition_point(|(from_s, _)| *from_s <= time_s) {
         0 => points[0].1,
         after if after == points.len() => points[after - 1].1,
@@ -52,7 +52,7 @@ fn at(points: &[(f64, f64)], time_s: f64) -> f64 {
 }
 
 /// Every place of every vehicle within a centimetre; every speed within a centimetre a second of the mean over the step that is read.
-fn assert_is_the_run(scenario: &Scenario, trace: &Trace) {
+fn assert_matches_run(scenario: &Scenario, trace: &Trace) {
     let made = trajectories(scenario, trace, None, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
@@ -88,7 +88,7 @@ fn assert_is_the_run(scenario: &Scenario, trace: &Trace) {
 }
 
 /// Where the road begins and ends along x, in metres: straight, and its one lane around y = 0.
-fn road(xml: &[u8]) -> [f64; 2] {
+fn road_extent_m(xml: &[u8]) -> [f64; 2] {
     let text = std::str::from_utf8(xml).expect("UTF-8");
     let document = Document::parse(text).expect("XML");
     let geometry = only(document.root_element(), "geometry");
@@ -109,7 +109,7 @@ fn built_in_scenarios_are_read_back_as_they_ran() {
     for (name, _) in built_in_names() {
         let scenario = built_in(name).expect("built in");
         for after_contact in [AfterContact::Stop, AfterContact::Continue] {
-            assert_is_the_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+            assert_matches_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
         }
     }
 }
@@ -133,7 +133,7 @@ proptest! {
     #[test]
     fn random_scenarios_are_read_back_as_they_ran(scenario in any_scenario(), goes_on: bool) {
         let after_contact = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        assert_is_the_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
+        assert_matches_run(&scenario, &traced(&scenario, &options(after_contact)).trace.expect("traced"));
     }
 
     /// Scripts are driven anew from their actions alone, until vehicles touch.
@@ -202,7 +202,7 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
 }
 
 /// Speeds over time of a group's one action.
-fn speeds(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
+fn speed_profile(group: Node<'_, '_>, start_mps: f64) -> Vec<(f64, f64)> {
     let from_s = number(only(only(group, "StartTrigger"), "SimulationTimeCondition"), "value");
     if let Some(action) = all(group, "SpeedAction").next() {
         let (rate, to_mps) = (

@@ -5,7 +5,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
 
-const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
+const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
 fn scenario(name: &str) -> Scenario {
     built_in(name).expect("built in")
@@ -19,7 +19,7 @@ fn run(scenario: &Scenario, options: RunOptions) -> Simulated {
     simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
 }
 
-fn with_truth(name: &str, controller: &str) -> Simulated {
+fn run_with_truth(name: &str, controller: &str) -> Simulated {
     run(&scenario(name), options(controller, EstimatorKind::Truth))
 }
 
@@ -28,7 +28,7 @@ fn assert_near(found: f64, expected: f64, tolerance: f64, what: &str) {
 }
 
 /// The follower hits the baseline, at that time and with these speeds of ego and follower.
-fn hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> Simulated {
+fn assert_hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -> Simulated {
     let result = with_truth(name, "baseline");
     let contact = result.outcome.contact().expect("a rear collision");
     assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
@@ -41,14 +41,14 @@ fn hit_from_behind(name: &str, time_s: f64, [ego_mps, follower_mps]: [f64; 2]) -
 /// Scenario 1: the ego brakes in time for the leader and the heavy follower hits it, at 17.5 against 7.4 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_heavy_follower() {
-    let result = hit_from_behind("paper-1", 5.50, [7.4, 17.5]);
+    let result = assert_hit_from_behind("paper-1", 5.50, [7.4, 17.5]);
     assert_near(result.vehicles[1].min_gap_m.unwrap(), 4.34, 0.05, "smallest front gap");
 }
 
 /// Scenario 2: so does a light one, at 14.6 against 6.3 m/s.
 #[test]
 fn the_baseline_is_hit_from_behind_by_a_light_follower() {
-    let result = hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
+    let result = assert_hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
     assert!(result.vehicles[1].min_gap_m.unwrap() > 0.0, "no front contact");
 }
 

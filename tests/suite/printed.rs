@@ -10,7 +10,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
 use crate::command_line::folder;
-use crate::report::BUILT_IN;
+use crate::report::BUILT_IN_ASSESSMENT;
 
 /// Elements that paper has no use for: links and buttons.
 const NOT_PRINTED: [&str; 2] = ["nav", ".draw-controls"];
@@ -64,7 +64,7 @@ fn print_in_browser(page: &str) {
 
 #[test]
 fn a_report_prints_everything() {
-    assert_prints_everything(&BUILT_IN.html(), 60);
+    assert_prints_everything(&BUILT_IN_ASSESSMENT.html(), 60);
 }
 
 #[test]
@@ -84,6 +84,6 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: a browser prints a page of two megabytes"]
     fn a_browser_prints_everything_of_a_report() {
-        print_in_browser(&BUILT_IN.html());
+        print_in_browser(&BUILT_IN_ASSESSMENT.html());
     }
 }

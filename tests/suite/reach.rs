@@ -22,15 +22,15 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use crate::command_line::{code, crumple};
 use crate::onnx_bytes::{Node, any_each, model, product};
 
-fn corpus(name: &str) -> PathBuf {
+fn controller_corpus_path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
 }
 
-fn kind(name: &str) -> ControllerKind {
+fn controller_kind(name: &str) -> ControllerKind {
     NamedController::find(name, &corpus("")).unwrap_or_else(|error| panic!("{error}")).kind
 }
 
-fn spec(scenario: &str, ranges: &str) -> BoxSpec {
+fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
     let text = format!("version = 1\nscenario = \"{scenario}\"\n[ranges]\n{ranges}");
     BoxSpec::from_toml(&text, Path::new("box.toml")).unwrap()
 }
@@ -100,7 +100,7 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
     NetworkController::new(file, mapping).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn point(ranges: &Ranges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
+fn random_point(ranges: &Ranges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
     Dimension::ALL.map(|dimension| {
         let range = ranges.get(dimension);
         (range.low() + random.random::<f64>() * (range.high() - range.low())).clamp(range.low(), range.high())
@@ -108,7 +108,7 @@ fn point(ranges: &Ranges, random: &mut Xoshiro256PlusPlus) -> [f64; 8] {
 }
 
 /// What the vehicle under test observes at a step, and the gaps behind which nobody is are left out.
-fn observed(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
+fn observed_values(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
     let [leader, ego, rest @ ..] = trace.vehicles.as_slice() else { panic!("two at least") };
     let before = |a: &[f64]| k.checked_sub(1).map_or(0.0, |before| a[before]);
     let mut seen = vec![
@@ -128,15 +128,15 @@ fn observed(trace: &Trace, k: usize) -> Vec<(usize, f64)> {
 
 /// How much was compared.
 #[derive(Debug, Default)]
-struct Compared {
+struct ReachComparison {
     verified: usize,
     falsified: usize,
     numbers: usize,
 }
 
-impl Compared {
+impl ReachComparison {
     /// What is certified of a plan is accepted, every trajectory is inside the tube, no gap is smaller than proved, and what is falsified touches.
-    fn certified(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
+    fn compare_plan(&mut self, plan: &ReachPlan, options: &RunOptions, random: &mut Xoshiro256PlusPlus, seed: u64) {
         let partition = plan.partition(2, &Quiet).unwrap();
         let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default());
         assert!(matches!(accepted, Ok(Accepted::Reach { .. })), "{seed}: {accepted:?}");
@@ -203,7 +203,7 @@ fn any_box(seed: u64, random: &mut Xoshiro256PlusPlus) -> BoxSpec {
 /// Random networks, random boxes, whoever follows.
 #[test]
 fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
-    let mut compared = Compared::default();
+    let mut compared = ReachComparison::default();
     for seed in 0..60 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let network = Arc::new(any_network(random));
@@ -213,7 +213,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
         compared.certified(&plan, &options, random, seed);
     }
     println!("{compared:?}");
-    let Compared { verified, falsified, numbers } = compared;
+    let ReachComparison { verified, falsified, numbers } = compared;
     assert!(verified > 10 && falsified > 10 && numbers > 50_000, "{verified} {falsified} {numbers}");
 }
 
@@ -222,7 +222,7 @@ fn what_networks_from_outside_do_is_inside_what_is_proved_of_them() {
 #[test]
 fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
     let road = Policy::load(&corpus("../policy/road.safetensors")).unwrap();
-    let mut compared = Compared::default();
+    let mut compared = ReachComparison::default();
     for seed in 0..32 {
         let random = &mut Xoshiro256PlusPlus::seed_from_u64(seed);
         let (mut header, mut network) = (road.header().clone(), road.network().clone());
@@ -249,7 +249,7 @@ fn what_policies_that_depart_from_a_law_do_is_inside_what_is_proved_of_them() {
         compared.certified(&plan, &options, random, seed);
     }
     println!("{compared:?}");
-    let Compared { verified, falsified, numbers } = compared;
+    let ReachComparison { verified, falsified, numbers } = compared;
     assert!(verified > 10 && falsified > 0 && numbers > 50_000, "{verified} {falsified} {numbers}");
 }
 
@@ -343,7 +343,7 @@ fn networks_are_proved_and_checked_on_the_command_line() {
 }
 
 /// A network of the benchmark's shape that imitates a calm driver: random layers of rectifiers, the last one fitted.
-fn imitation(subtracts: f32) -> Vec<u8> {
+fn imitation_network(subtracts: f32) -> Vec<u8> {
     let random = &mut Xoshiro256PlusPlus::seed_from_u64(7);
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0_f32];
     let mut nodes = Vec::new();

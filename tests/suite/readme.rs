@@ -5,14 +5,14 @@ use std::path::Path;
 use std::process::Command;
 
 /// A row of the table of figures.
-struct Row {
+struct FigureRow {
     figure: String,
     value: String,
     command: String,
 }
 
 /// The source of the numbers in a row.
-enum Source {
+enum FigureSource {
     /// Its command, which takes about a second; numbers follow these texts.
     Printed(&'static [&'static str]),
     /// Rows of the committed report, which another test compares with what `crumple assess` writes, and the text before each number.
@@ -24,38 +24,38 @@ enum Source {
 }
 
 /// The source of each row, which begins with the text beside it.
-const SOURCES: [(&str, Source); 13] = [
-    ("contacts of the baseline", Source::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")])),
+const SOURCES: [(&str, FigureSource); 13] = [
+    ("contacts of the baseline", FigureSource::Report(&[("| no contact in 1000 draws of `paper` (seed 0) |", "refuted: ")])),
     (
         "contacts of `policy`",
-        Source::Report(&[
+        FigureSource::Report(&[
             ("| no contact in 1000 draws of `paper` (seed 0) |", "tested: "),
             ("| no contact in the paper's scenarios |", "tested: "),
         ]),
     ),
-    ("`train --preset fast", Source::Machine),
-    ("Chasing Cars", Source::Slow(chasing_cars)),
-    ("first contact", Source::Printed(&["COLLISION at "])),
-    ("smallest gap", Source::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
-    ("share of the boxes", Source::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
-    ("four problems", Source::Slow(known_probabilities)),
-    ("largest memory", Source::Machine),
+    ("`train --preset fast", FigureSource::Machine),
+    ("Chasing Cars", FigureSource::Slow(chasing_cars)),
+    ("first contact", FigureSource::Printed(&["COLLISION at "])),
+    ("smallest gap", FigureSource::Printed(&["smallest gap of the escape ", "no driver keeps more than "])),
+    ("share of the boxes", FigureSource::Report(&[("| reach-paper-1 |", "✓ from "), ("| reach-paper-2 |", "✓ from ")])),
+    ("four problems", FigureSource::Slow(known_probabilities)),
+    ("largest memory", FigureSource::Machine),
     (
         "contacts with a leader",
-        Source::Slow(|printed| {
+        FigureSource::Slow(|printed| {
             after(printed, &["full-throttle: ", "random-actions: ", "policy: ", "interventions), "])
         }),
     ),
-    ("one vehicle-step, baseline, lockstep engine, one core, true state", Source::Machine),
-    ("one vehicle-step, baseline, lockstep engine, one core, Kalman filter", Source::Machine),
-    ("two cores against one", Source::Machine),
+    ("one vehicle-step, baseline, lockstep engine, one core, true state", FigureSource::Machine),
+    ("one vehicle-step, baseline, lockstep engine, one core, Kalman filter", FigureSource::Machine),
+    ("two cores against one", FigureSource::Machine),
 ];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn rows() -> Vec<Row> {
+fn figure_rows() -> Vec<Row> {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
     let (_, table) = text.split_once("\n## Figures\n").unwrap();
     let (table, _) = table.split_once("\n## ").unwrap();
@@ -69,7 +69,7 @@ fn rows() -> Vec<Row> {
 }
 
 /// Returns the numbers of a text, in which a space may stand between groups of three digits.
-fn numbers(text: &str) -> Vec<f64> {
+fn parse_numbers(text: &str) -> Vec<f64> {
     let is_digits = |word: &str| word.chars().all(|c| c.is_ascii_digit());
     let mut found = Vec::new();
     let mut group = String::new();
@@ -90,7 +90,7 @@ fn numbers(text: &str) -> Vec<f64> {
 }
 
 /// Returns the number behind each occurrence of one of these texts, from left to right.
-fn after(text: &str, marks: &[&str]) -> Vec<f64> {
+fn numbers_after(text: &str, marks: &[&str]) -> Vec<f64> {
     let mut places: Vec<usize> =
         marks.iter().flat_map(|mark| text.match_indices(mark).map(|(at, _)| at + mark.len())).collect();
     places.sort_unstable();
@@ -101,7 +101,7 @@ fn after(text: &str, marks: &[&str]) -> Vec<f64> {
 }
 
 /// Returns the largest distance from the truth in per cent, intervals that hold it, all intervals, and most runs.
-fn known_probabilities(printed: &str) -> Vec<f64> {
+fn known_probability_figures(printed: &str) -> Vec<f64> {
     let lines = || printed.lines().filter(|line| line.contains(" by Splitting: "));
     let ratios = lines().flat_map(|line| numbers(line.split_once("ratios ").unwrap().1));
     let error_percent = ratios.map(|ratio| (100.0 * (ratio - 1.0).abs()).round()).fold(0.0, f64::max);
@@ -111,13 +111,13 @@ fn known_probabilities(printed: &str) -> Vec<f64> {
 }
 
 /// Returns the mean number of evaluations of each problem by `auto`.
-fn chasing_cars(printed: &str) -> Vec<f64> {
+fn mean_evaluations(printed: &str) -> Vec<f64> {
     let means =
         printed.lines().filter_map(|line| line.strip_suffix(" evaluations to the first that holds at both steps"));
     means.filter_map(|line| numbers(line).last().copied()).collect()
 }
 
-fn run(command: &str) -> String {
+fn run_shell(command: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_crumple")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
@@ -127,7 +127,7 @@ fn run(command: &str) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-fn source(row: &Row) -> &'static Source {
+fn figure_source(row: &Row) -> &'static FigureSource {
     let mut found = SOURCES.iter().filter(|(figure, _)| row.figure.starts_with(figure));
     let Some((_, source)) = found.next() else { panic!("no source of: {}", row.figure) };
     assert!(found.next().is_none(), "two sources of: {}", row.figure);
@@ -141,15 +141,15 @@ fn figures_are_those_of_their_commands() {
     assert_eq!(rows.len(), SOURCES.len());
     for row in rows {
         let printed = match source(&row) {
-            Source::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
-            Source::Report(places) => {
+            FigureSource::Printed(marks) if cfg!(unix) => after(&run(&row.command), marks),
+            FigureSource::Report(places) => {
                 let number = |(row, mark): &(&str, &str)| {
                     let row = report.lines().find(|line| line.starts_with(row))?;
                     after(row, &[mark]).first().copied()
                 };
                 places.iter().filter_map(number).collect()
             }
-            Source::Printed(_) | Source::Slow(_) | Source::Machine => continue,
+            FigureSource::Printed(_) | FigureSource::Slow(_) | FigureSource::Machine => continue,
         };
         assert_eq!(numbers(&row.value), printed, "{} (`{}`)", row.figure, row.command);
     }
@@ -161,7 +161,7 @@ fn figures_are_those_of_their_commands() {
 #[ignore = "15 minutes"]
 fn figures_that_take_long_are_those_of_their_commands() {
     for row in rows() {
-        if let Source::Slow(printed) = source(&row) {
+        if let FigureSource::Slow(printed) = source(&row) {
             assert_eq!(numbers(&row.value), printed(&run(&row.command)), "{} (`{}`)", row.figure, row.command);
         }
     }

@@ -61,7 +61,7 @@ struct CutIn {
 /// Simulates a cut-in with the JRC's equations: speeds in m/s, the initial gap in metres.
 ///
 /// The driver reacts while the vehicles overlap laterally and the time to collision is at most 2 s. A longer time to collision ends the run.
-fn cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -> CutIn {
+fn simulate_cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -> CutIn {
     let from_m = [gap_m + LENGTH_M, 1.6 + WIDTH_M];
     let steps_across = (RATE_HZ * from_m[1] / lateral_mps).floor() + 1.0;
     // There the driver comes from as far back as the lateral speed takes to build up at 1.5 m/s². Only the rounding of its place is left.
@@ -105,7 +105,7 @@ fn cut_in(own_mps: f64, other_mps: f64, gap_m: f64, lateral_mps: f64) -> CutIn {
 }
 
 /// The runs of a pair of speeds: initial gaps in metres, and lateral speeds in m/s.
-fn runs(own_kmph: u32) -> impl Iterator<Item = (f64, f64)> {
+fn cut_in_grid(own_kmph: u32) -> impl Iterator<Item = (f64, f64)> {
     let (last_m, step_m) = if own_kmph > 60 { (120_u32, 2) } else { (60, 1) };
     let gaps_m = (1..last_m).step_by(step_m).map(f64::from);
     gaps_m.flat_map(|gap_m| (0_u32..18).map(move |tenths| (gap_m, f64::from(tenths) * 0.1)))

@@ -9,16 +9,16 @@ use crumple_report::assessment::{AssessConfig, Assessment, AssessmentPlan, Best,
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
-pub(crate) static BUILT_IN: LazyLock<Assessment> =
+pub(crate) static BUILT_IN_ASSESSMENT: LazyLock<Assessment> =
     LazyLock::new(|| assess(&AssessmentPlan::built_in(), &Store::none(), None, &Quiet).expect("runs"));
 
-fn committed(name: &str) -> String {
+fn read_committed(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
 /// When and where a report was made is the only thing that differs each time.
-pub(crate) fn without_made(name: &str, text: &str) -> String {
+pub(crate) fn without_build_info(name: &str, text: &str) -> String {
     match name.rsplit('.').next() {
         Some("html") => match (text.find("<p id=\"made\">"), text.find("<dl>")) {
             (Some(from), Some(to)) if from < to => format!("{}{}", &text[..from], &text[to..]),
@@ -37,8 +37,8 @@ pub(crate) fn without_made(name: &str, text: &str) -> String {
 }
 
 fn assert_current(name: &str, now: &[u8]) {
-    let now = without_made(name, std::str::from_utf8(now).expect("text"));
-    let then = without_made(name, &committed(name));
+    let now = without_build_info(name, std::str::from_utf8(now).expect("text"));
+    let then = without_build_info(name, &committed(name));
     let changed = then.lines().zip(now.lines()).find(|(then, now)| then != now);
     assert!(
         then == now,
@@ -49,7 +49,7 @@ fn assert_current(name: &str, now: &[u8]) {
 /// A box of initial states goes by the name of a scenario whose own lies in it.
 #[test]
 fn no_claim_is_named_by_a_hash() {
-    let claims: Vec<&str> = BUILT_IN.summary.claims.iter().map(|row| row.claim.as_str()).collect();
+    let claims: Vec<&str> = BUILT_IN_ASSESSMENT.summary.claims.iter().map(|row| row.claim.as_str()).collect();
     for scenario in ["paper-1", "paper-2"] {
         let words = format!("no contact from the box of initial states around `{scenario}` for 15 s");
         assert!(claims.iter().any(|claim| claim.starts_with(&words)), "{claims:#?}");
@@ -67,7 +67,7 @@ fn schemas_are_those_of_the_types() {
     assert_committed("crates/report/src/assessment/evidence.schema.json", &evidence);
     let config = schemars::schema_for!(AssessConfig).to_value();
     assert_committed("crates/report/src/assessment/configuration.schema.json", &config);
-    let found = serde_json::to_value(&*BUILT_IN).expect("serializes");
+    let found = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
     validate(&evidence, &evidence, &found, "evidence").expect("as the schema says");
     let default = serde_json::to_value(AssessConfig::default()).expect("serializes");
     validate(&config, &config, &default, "configuration").expect("as the schema says");
@@ -77,7 +77,7 @@ fn schemas_are_those_of_the_types() {
 /// other simulators, 9 MB of them, are not committed.
 #[test]
 fn the_committed_report_is_current() {
-    let files = BUILT_IN.files().expect("renders");
+    let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let is_run = |name: &str| name.ends_with(".xosc") || name.ends_with(".xodr");
     let is_failure = |name: &str| name.ends_with(".toml") && !name.ends_with("-escape.toml");
     let failures = files.iter().filter(|(name, _)| name.starts_with("counterexamples/") && is_failure(name));
@@ -115,10 +115,10 @@ fn files_below(folder: &Path) -> Vec<std::path::PathBuf> {
 /// A reader of JUnit finds a test a gate, and fails where one does not hold; what is refuted fails no build.
 #[test]
 fn junit_holds_each_gate_as_a_test() {
-    let files = BUILT_IN.files().expect("renders");
+    let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let (_, xml) = files.iter().find(|(name, _)| name.ends_with("junit.xml")).expect("written");
     let report = quick_junit::Report::deserialize_from_str(std::str::from_utf8(xml).expect("text")).expect("JUnit");
-    let summary = &BUILT_IN.summary;
+    let summary = &BUILT_IN_ASSESSMENT.summary;
     assert_eq!(report.tests, summary.gates.len());
     assert_eq!(report.failures, summary.gates.iter().filter(|gate| !gate.holds).count());
     let claims: usize = summary.claims.iter().map(|row| row.claims.iter().flatten().count()).sum();
@@ -129,7 +129,7 @@ fn junit_holds_each_gate_as_a_test() {
 /// evidence is defeated.
 #[test]
 fn the_goal_structure_has_no_dangling_reference() {
-    let text = BUILT_IN.argument.yaml();
+    let text = BUILT_IN_ASSESSMENT.argument.yaml();
     let documents = Yaml::load_from_str(&text).expect("YAML");
     let elements = documents[0].as_mapping().expect("a mapping");
     let ids: Vec<&str> = elements.keys().map(|id| id.as_str().expect("a name")).collect();
@@ -170,7 +170,7 @@ fn the_goal_structure_has_no_dangling_reference() {
         let evidence = field("url").and_then(Yaml::as_str);
         if let Some(part) = evidence.and_then(|url| url.strip_prefix("assessment.html#")) {
             assert!(
-                BUILT_IN.parts().iter().chain(&BUILT_IN.appendix()).any(|known| known.heading().0 == part),
+                BUILT_IN_ASSESSMENT.parts().iter().chain(&BUILT_IN_ASSESSMENT.appendix()).any(|known| known.heading().0 == part),
                 "{id} points to {part}"
             );
         }
@@ -185,9 +185,9 @@ fn the_goal_structure_has_no_dangling_reference() {
 fn every_counterexample_of_the_report_collides() {
     use crumple_world::scenario::file;
     use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
-    let files = BUILT_IN.files().expect("renders");
+    let files = BUILT_IN_ASSESSMENT.files().expect("renders");
     let mut replayed = 0;
-    for search in BUILT_IN.searches.spaces.iter().flat_map(|space| &space.controllers) {
+    for search in BUILT_IN_ASSESSMENT.searches.spaces.iter().flat_map(|space| &space.controllers) {
         let controller = NamedController::find(&search.controller, Path::new("")).expect("known").kind;
         for failure in &search.failures {
             let (_, text) = files.iter().find(|(name, _)| *name == failure.file).expect("written");
@@ -213,9 +213,9 @@ fn a_comparison_finds_what_was_changed() {
     let again = |text: &str| {
         fs::write(&path, text).expect("writes");
         let earlier = Earlier::load(&path).expect("evidence");
-        crumple_report::assessment::Comparison::of(&earlier, &BUILT_IN).expect("comparable")
+        crumple_report::assessment::Comparison::of(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable")
     };
-    let json = BUILT_IN.json().expect("serializes");
+    let json = BUILT_IN_ASSESSMENT.json().expect("serializes");
     let same = again(&json);
     assert_eq!((same.better.len(), same.worse.len(), same.new.len(), same.gone.len()), (0, 0, 0, 0));
     let mut evidence: Value = serde_json::from_str(&json).expect("JSON");
@@ -259,13 +259,13 @@ fn the_verdict_is_that_of_the_evidence() {
 /// No controller does better than the bound over all of them, and regret is what the shown numbers make it.
 #[test]
 fn nobody_beats_the_bound_and_regrets_add_up() {
-    let scenarios = &BUILT_IN.paper_scenarios.as_ref().expect("asked for").scenarios;
+    let scenarios = &BUILT_IN_ASSESSMENT.paper_scenarios.as_ref().expect("asked for").scenarios;
     assert_eq!(scenarios.len(), crumple_world::scenario::built_in_names().len());
     for scenario in scenarios {
         let Some(Best::Avoidable { min_gap_m, min_gap_bound_m, .. }) = &scenario.best else { panic!("avoidable") };
         let bound_m = min_gap_bound_m.expect("a bound").value();
         assert!(min_gap_m.value() <= bound_m);
-        assert_eq!(scenario.cases.len(), BUILT_IN.summary.controllers.len());
+        assert_eq!(scenario.cases.len(), BUILT_IN_ASSESSMENT.summary.controllers.len());
         for case in &scenario.cases {
             let (own_m, regret_m) = (case.min_gap_m.expect("a gap").value(), case.regret_m.expect("a regret").value());
             assert!(own_m <= bound_m, "{}: {own_m} m", case.controller);
@@ -278,7 +278,7 @@ fn nobody_beats_the_bound_and_regrets_add_up() {
 
 #[test]
 fn worst_profiles_collide_and_kernels_are_proved() {
-    let worst = BUILT_IN.worst_profiles.as_ref().expect("shipped");
+    let worst = BUILT_IN_ASSESSMENT.worst_profiles.as_ref().expect("shipped");
     for profile in &worst.profiles {
         let Some(mildest) = &profile.mildest else { continue };
         assert!(
@@ -288,16 +288,16 @@ fn worst_profiles_collide_and_kernels_are_proved() {
         );
         assert!(mildest.peak_brake_mps2 <= worst.max_brake_mps2, "{}", profile.controller);
     }
-    let accepted = BUILT_IN.proofs.certificates.iter().filter(|proof| proof.is_accepted());
-    assert_eq!(accepted.count(), BUILT_IN.proofs.certificates.len());
+    let accepted = BUILT_IN_ASSESSMENT.proofs.certificates.iter().filter(|proof| proof.is_accepted());
+    assert_eq!(accepted.count(), BUILT_IN_ASSESSMENT.proofs.certificates.len());
     for statement in ["kernel", "rate", "comparison", "reach"] {
-        assert!(BUILT_IN.proofs.certificates.iter().any(|proof| proof.statement == statement), "{statement}");
+        assert!(BUILT_IN_ASSESSMENT.proofs.certificates.iter().any(|proof| proof.statement == statement), "{statement}");
     }
 }
 
 #[test]
 fn the_page_is_self_contained_and_its_links_lead_somewhere() {
-    let page = BUILT_IN.html();
+    let page = BUILT_IN_ASSESSMENT.html();
     for outside in
         ["http://", "https://", "src=", "@import", "url(", "<script src", "<link", "fetch(", "XMLHttp", "import("]
     {

@@ -12,11 +12,11 @@ use crumple_world::scenario::space::{Space, built_in_space};
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
 use crumple_world::sim::{ControllerKind, NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 
-fn corpora() -> PathBuf {
+fn corpora_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora")
 }
 
-fn read<T: serde::de::DeserializeOwned>(name: &str) -> T {
+fn read_json<T: serde::de::DeserializeOwned>(name: &str) -> T {
     serde_json::from_slice(&fs::read(corpora().join("retraining").join(name)).unwrap()).unwrap()
 }
 
@@ -24,7 +24,7 @@ fn space() -> Space {
     built_in_space("high-risk").unwrap()
 }
 
-fn contacts(controller: &ControllerKind, scenarios: &[Scenario], estimator: EstimatorKind) -> usize {
+fn count_contacts(controller: &ControllerKind, scenarios: &[Scenario], estimator: EstimatorKind) -> usize {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());

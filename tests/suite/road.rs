@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_learn::rl::{RatesFall, TrainingConfig};
+use crumple_learn::rl::{LrDecay, TrainingConfig};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Usefulness;
 use crumple_world::observation::EstimatorKind;
@@ -12,7 +12,7 @@ use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
 
-fn policy() -> Arc<Policy> {
+fn road_policy() -> Arc<Policy> {
     Arc::new(Policy::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/policy/road.safetensors")).unwrap())
 }
 
@@ -70,7 +70,7 @@ fn what_was_tried_is_a_configuration_each() {
             Some(("smooth", _)) => smooth.clone(),
             _ => TrainingConfig::preset("road").unwrap(),
         };
-        let falls = |until_episode, to_share| Some(RatesFall { until_episode, to_share });
+        let falls = |until_episode, to_share| Some(LrDecay { until_episode, to_share });
         let TrainingConfig { environment, learning, evaluation, episodes, .. } = &mut expected;
         match config.name.as_str() {
             "longer" => *episodes = 4000,
@@ -148,7 +148,7 @@ fn an_ablation_changes_one_thing() {
     assert_eq!(names.len(), 5, "{names:?}");
 }
 
-fn driven(
+fn simulate_all(
     controller: impl Into<ControllerKind>,
     scenarios: &[Scenario],
     estimator: EstimatorKind,

@@ -15,12 +15,12 @@ fn to_json(scenario: &Scenario) -> String {
 
 /// A format: how to write a scenario, how to read one, and what a file of it is called.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Format {
+enum ScenarioTextFormat {
     Toml,
     Json,
 }
 
-impl Format {
+impl ScenarioTextFormat {
     fn write(self, scenario: &Scenario) -> String {
         match self {
             Self::Toml => to_toml(scenario).expect("plain data"),
@@ -36,8 +36,8 @@ impl Format {
     }
 }
 
-fn any_format() -> impl Strategy<Value = Format> {
-    prop_oneof![Just(Format::Toml), Just(Format::Json)]
+fn any_format() -> impl Strategy<Value = ScenarioTextFormat> {
+    prop_oneof![Just(ScenarioTextFormat::Toml), Just(ScenarioTextFormat::Json)]
 }
 
 /// A scenario with texts of any characters; a name has no control characters.
@@ -48,13 +48,13 @@ fn any_file() -> impl Strategy<Value = Scenario> {
 }
 
 /// The line an error message names: `file:line: …`.
-fn line_of(message: &str) -> Option<usize> {
+fn error_line(message: &str) -> Option<usize> {
     let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
     rest.split_once(": ")?.0.parse().ok()
 }
 
 /// Reading never panics, and a refusal names a line that exists.
-fn read_or_line(format: Format, text: &str) -> Result<(), TestCaseError> {
+fn check_error_line(format: ScenarioTextFormat, text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = format.read(text) {
         let message = error.to_string();
         let lines = text.bytes().filter(|&byte| byte == b'\n').count() + 1;
@@ -65,12 +65,12 @@ fn read_or_line(format: Format, text: &str) -> Result<(), TestCaseError> {
 }
 
 /// The text with one stretch of it replaced.
-fn replaced(text: &str, at: std::ops::Range<usize>, with: &str) -> String {
+fn replace_range(text: &str, at: std::ops::Range<usize>, with: &str) -> String {
     format!("{}{with}{}", &text[..at.start], &text[at.end..])
 }
 
 /// Where numbers stand in a text: behind an equals sign, a colon, a bracket or a blank.
-fn numbers(text: &str) -> Vec<std::ops::Range<usize>> {
+fn number_ranges(text: &str) -> Vec<std::ops::Range<usize>> {
     let mut found = Vec::new();
     let mut start = None;
     let mut before = ' ';
@@ -102,7 +102,7 @@ proptest! {
     /// Text of any kind is read or refused, with a line.
     #[test]
     fn any_text_is_read_or_refused(text in any::<String>(), format in any_format()) {
-        read_or_line(format, &text)?;
+        check_error_line(format, &text)?;
     }
 
     /// So are files with some damage: cut short, lines lost or doubled, characters changed.
@@ -124,7 +124,7 @@ proptest! {
             2 => replaced(&text, line_end..line_end, &text[line_start..line_end]),
             _ => replaced(&text, at..at, &other.to_string()),
         };
-        read_or_line(format, &damaged)?;
+        check_error_line(format, &damaged)?;
     }
 
     /// One number replaced by something no field can hold: refused, and the line is that of the number.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::campaign::{Aim, Campaign, CampaignOptions, Summary};
-use crumple_search::falsify::{Contrast, Method, Relation};
+use crumple_search::falsify::{FailureCriterion, Method, Relation};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file;
@@ -17,9 +17,9 @@ use crate::command_line::falsify::assert_same;
 use crate::generate::cases;
 
 /// Evaluations that suffice to meet what fails in an eighth of a space: nobody misses it in 1 of 10¹¹ random draws.
-const ENOUGH: u64 = 190;
+const SUFFICIENT_BUDGET: u64 = 190;
 
-const LATTICE: u32 = 200;
+const LATTICE_POINTS: u32 = 200;
 
 /// Any controller, in some parameters of a built-in space, the others nominal.
 fn any_campaign() -> impl Strategy<Value = Campaign> {
@@ -36,7 +36,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
     let estimator = prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)];
     let aim = prop_oneof![Just(Aim::Severest), Just(Aim::Likeliest), Just(Aim::Nearest)];
     let method = select(Method::ALL.to_vec());
-    (space, controller, estimator, aim, method, 1..ENOUGH, 0..u64::MAX >> 1).prop_map(
+    (space, controller, estimator, aim, method, 1..SUFFICIENT_BUDGET, 0..u64::MAX >> 1).prop_map(
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {
             estimator,
             method,
@@ -103,9 +103,9 @@ proptest! {
     fn what_counts_beside_another_run_fails_alone(campaign in any_campaign(), kind in 0..3_usize) {
         let other = NamedController::find("shield:idm", Path::new(".")).unwrap();
         let contrast = match kind {
-            0 => Contrast::Against(other.clone()),
-            1 => Contrast::Metamorphic(Relation::LargerGap { by_m: 1.0 }),
-            _ => Contrast::Metamorphic(Relation::MoreFriction { by: 0.1 }),
+            0 => FailureCriterion::Against(other.clone()),
+            1 => FailureCriterion::Metamorphic(Relation::LargerGap { by_m: 1.0 }),
+            _ => FailureCriterion::Metamorphic(Relation::MoreFriction { by: 0.1 }),
         };
         let campaign = Campaign { contrast: Some(contrast), ..campaign };
         let folder = tempfile::tempdir().unwrap();
@@ -139,7 +139,7 @@ proptest! {
     /// Where an eighth of a lattice fails, every method finds a failure, and uniform points fail as often as the lattice.
     #[test]
     fn frequent_failures_are_found(campaign in any_campaign()) {
-        let campaign = Campaign { budget: ENOUGH, ..campaign };
+        let campaign = Campaign { budget: SUFFICIENT_BUDGET, ..campaign };
         let space = campaign.space.clone().with_noise_seed(campaign.seed);
         let fails = |index: u32| {
             // Roots of numbers that are no squares: points that fill the space evenly.
@@ -148,13 +148,13 @@ proptest! {
             let scenario = space.at(&point).unwrap();
             campaign.specification.judge_scenario(&scenario, options(&campaign)).unwrap().is_violation()
         };
-        let share = (0..LATTICE).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE);
+        let share = (0..LATTICE_POINTS).filter(|&index| fails(index)).count() as f64 / f64::from(LATTICE_POINTS);
         let folder = tempfile::tempdir().unwrap();
         let summary = run(&campaign, folder.path(), 2);
         let asked_for = &summary.methods[0];
         prop_assert!(share < 0.125 || asked_for.failures > 0, "{} finds none where {share} fail", asked_for.method);
         let uniform = summary.methods.iter().find(|method| method.method == Method::Uniform.name()).unwrap();
-        let found = uniform.failures as f64 / ENOUGH as f64;
+        let found = uniform.failures as f64 / SUFFICIENT_BUDGET as f64;
         prop_assert!((found - share).abs() < 0.25, "{found} of uniform points and {share} of a lattice fail");
     }
 }

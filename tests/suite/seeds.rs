@@ -13,7 +13,7 @@ use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Family, avoid, 
 use crumple_verify::reach::{Cell, Dimension};
 use crumple_verify::{Certificate, Reach, Statement};
 use crumple_world::measure::stl::Formula;
-use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE};
+use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::load;
 use crumple_world::sim::{RecordingLevel, Run, simulate};
@@ -24,13 +24,13 @@ use proptest::test_runner::TestRunner;
 use crate::generate::{any_scenario, any_test_case};
 
 /// How many inputs of each sort are generated.
-const OF_EACH: usize = 200;
+const INPUTS_PER_TARGET: usize = 200;
 
 /// A folder, complete or half done, and up to three changes of its files, of four bytes each.
 fn folder_changes() -> Vec<Vec<u8>> {
     let mut runner = TestRunner::deterministic();
     let strategy = prop::collection::vec(any::<u8>(), 0..14);
-    (0..OF_EACH).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
+    (0..INPUTS_PER_TARGET).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
 }
 
 /// The smaller ones of what others wrote, and what is left of each when it is cut.
@@ -80,12 +80,12 @@ fn root() -> &'static Path {
 }
 
 /// The first values of a strategy, always the same ones.
-fn first<T: std::fmt::Debug>(count: usize, strategy: &impl Strategy<Value = T>) -> Vec<T> {
+fn first_values<T: std::fmt::Debug>(count: usize, strategy: &impl Strategy<Value = T>) -> Vec<T> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(|_| strategy.new_tree(&mut runner).unwrap().current()).collect()
 }
 
-fn kept_scenarios() -> Vec<(PathBuf, Scenario)> {
+fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
     let files = fs::read_dir(root().join("corpora/scenarios")).unwrap().map(|entry| entry.unwrap().path());
     let mut paths: Vec<PathBuf> = files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
     paths.sort();
@@ -94,12 +94,12 @@ fn kept_scenarios() -> Vec<(PathBuf, Scenario)> {
 
 /// As long as a test case can be, and shorter: what is cut off is nominal.
 fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
-    first(OF_EACH, &prop::collection::vec(any::<u8>(), 0..=bytes))
+    first(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes))
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {
-    let kept = kept_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
-    let generated = first(OF_EACH, &any_scenario()).into_iter().zip(FileFormat::ALL.into_iter().cycle());
+    let kept = corpus_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
+    let generated = first(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(FileFormat::ALL.into_iter().cycle());
     kept.chain(generated.map(|(scenario, format)| format.text(&scenario).into_bytes())).collect()
 }
 
@@ -117,18 +117,18 @@ fn policy_files() -> Vec<Vec<u8>> {
         },
     );
     let policy = (header, prop::collection::vec(-2.0_f32..2.0, 64)).prop_map(|(header, weights)| {
-        let sizes: Vec<usize> = [STATE].into_iter().chain(header.hidden.iter().copied()).chain([1]).collect();
+        let sizes: Vec<usize> = [STATE_LEN].into_iter().chain(header.hidden.iter().copied()).chain([1]).collect();
         let mut network = Network::zeros(&sizes);
         network.parameters_mut().iter_mut().zip(weights.iter().cycle()).for_each(|(to, from)| *to = *from);
         Policy::new(header, network).and_then(|policy| policy.to_bytes())
     });
-    first(OF_EACH, &policy).into_iter().flatten().collect()
+    first(INPUTS_PER_TARGET, &policy).into_iter().flatten().collect()
 }
 
 /// What is proved of scenarios that are kept or generated, the shipped kernels, and a box under the reference policy.
 fn certificates() -> Vec<Vec<u8>> {
-    let kept = kept_scenarios().into_iter().map(|(_, scenario)| scenario);
-    let generated = first(OF_EACH, &any_scenario());
+    let kept = corpus_scenarios().into_iter().map(|(_, scenario)| scenario);
+    let generated = first(INPUTS_PER_TARGET, &any_scenario());
     let proved = kept.chain(generated).filter_map(|scenario| proved(&scenario));
     let kernels = shipped_kernels().into_iter().map(|(_, certificate)| certificate);
     let reach = reaches();
@@ -136,7 +136,7 @@ fn certificates() -> Vec<Vec<u8>> {
 }
 
 /// The first seconds of a box under the reference policy, short enough for the target to check.
-fn reaches() -> Vec<Certificate> {
+fn reach_certificates() -> Vec<Certificate> {
     let paper_2 = fs::read_to_string(root().join("corpora/boxes/paper-2.toml")).unwrap();
     let plan =
         ReachPlan::new(Policy::reference(), &BoxSpec::from_toml(&paper_2, Path::new("paper-2.toml")).unwrap()).unwrap();
@@ -155,7 +155,7 @@ fn reaches() -> Vec<Certificate> {
     parts.into_iter().flat_map(|part| [100, 200].map(|steps| stating((part.clone(), steps)))).collect()
 }
 
-fn proved(scenario: &Scenario) -> Option<Certificate> {
+fn prove(scenario: &Scenario) -> Option<Certificate> {
     match avoid(scenario, AvoidOptions::default()).ok()?.verdict {
         AvoidanceVerdict::Unavoidable(proof) => Some(*proof),
         AvoidanceVerdict::Avoidable(escape) => certify(&Family::point(scenario), &escape).ok(),
@@ -167,14 +167,14 @@ fn proved(scenario: &Scenario) -> Option<Certificate> {
 fn recordings() -> Vec<Vec<u8>> {
     let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
     let beginning: String = kept.split_inclusive('\n').take(40).collect();
-    let simulated = first(OF_EACH, &any_test_case())
+    let simulated = first(INPUTS_PER_TARGET, &any_test_case())
         .into_iter()
-        .flat_map(|test_case| [open_acc(&test_case), car_following(&test_case)]);
+        .flat_map(|test_case| [open_acc_csv(&test_case), car_following(&test_case)]);
     [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
 }
 
 /// Ten samples a second or fewer of a test case: time, speeds and gaps.
-fn sampled(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
+fn sample_run(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     let options = test_case.setup.options(test_case.scenario.spec().step_s);
     let run = Run::new(&test_case.scenario, options).unwrap();
     let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
@@ -188,11 +188,11 @@ fn sampled(test_case: &TestCase) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     (0..trace.len()).step_by(every).take(60).map(sample).collect()
 }
 
-fn joined(numbers: &[f64]) -> String {
+fn join_numbers(numbers: &[f64]) -> String {
     numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(",")
 }
 
-fn open_acc(test_case: &TestCase) -> String {
+fn open_acc_csv(test_case: &TestCase) -> String {
     let vehicles = test_case.scenario.vehicles().len();
     let names: Vec<String> = (1..=vehicles).map(|n| format!("V{n}")).collect();
     let columns = (1..=vehicles).map(|n| format!("Speed{n}")).chain((1..vehicles).map(|n| format!("IVS{n}")));
@@ -207,7 +207,7 @@ fn open_acc(test_case: &TestCase) -> String {
     head + &rows.collect::<String>()
 }
 
-fn car_following(test_case: &TestCase) -> String {
+fn car_following_csv(test_case: &TestCase) -> String {
     let head = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     let rows = sampled(test_case).into_iter().map(|(t, speeds, gaps)| {
         let [leader, follower] = [speeds[0], speeds[1]];
@@ -220,5 +220,5 @@ fn car_following(test_case: &TestCase) -> String {
 fn formulas() -> Vec<Vec<u8>> {
     let formula = prop::collection::vec(any::<u8>(), 0..80)
         .prop_map(|bytes| crumple_fuzzing::any_formula(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
-    first(OF_EACH, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
+    first(INPUTS_PER_TARGET, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
 }

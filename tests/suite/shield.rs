@@ -31,7 +31,7 @@ struct Chase {
 }
 
 /// Mostly hard braking and full acceleration, in pieces of a few steps to a second: what a leader can do to a follower.
-fn leader() -> impl Strategy<Value = Pieces> {
+fn any_leader() -> impl Strategy<Value = Pieces> {
     let action = prop_oneof![3 => Just(0.0_f64), 1 => Just(1.0_f64), 2 => 0.0..1.0_f64];
     let pieces = prop::collection::vec((prop_oneof![1..100_u32, 1..8_u32], action), 1..16);
     pieces.prop_map(|pieces| {
@@ -104,7 +104,7 @@ impl Chase {
     }
 }
 
-fn shielded(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
+fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> ControllerKind {
     Shielded { controller, settings }.into()
 }
 
@@ -117,13 +117,13 @@ fn drivers() -> [ControllerKind; 3] {
     ]
 }
 
-fn with_truth(scenario: &Scenario, controller: ControllerKind) -> Simulated {
+fn simulate_with_truth(scenario: &Scenario, controller: ControllerKind) -> Simulated {
     let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Summary)
 }
 
 /// With the truth, nobody touches and the state never leaves the kernel.
-fn keeps_clear(chase: &Chase) -> Result<(), TestCaseError> {
+fn check_no_front_contact(chase: &Chase) -> Result<(), TestCaseError> {
     let scenario = chase.scenario();
     for driver in drivers() {
         let result = with_truth(&scenario, shielded(driver, ShieldSettings::default()));
@@ -142,13 +142,13 @@ proptest! {
     }
 
     #[test]
-    fn nor_with_a_delay_and_a_lag(chase in chase(true)) {
+    fn nobody_hits_the_vehicle_ahead_with_delay_and_lag(chase in chase(true)) {
         keeps_clear(&chase)?;
     }
 
     /// Noise up to six standard deviations and every manoeuvre are inside the bounds the shield takes for the filter.
     #[test]
-    fn nor_through_the_kalman_filter(chase in chase(false)) {
+    fn nobody_hits_the_vehicle_ahead_with_the_kalman_filter(chase in chase(false)) {
         let scenario = chase.scenario();
         for driver in drivers() {
             let options = RunOptions::new(shielded(driver, ShieldSettings::default()));
@@ -198,13 +198,13 @@ proptest! {
     }
 }
 
-fn draws(count: usize) -> impl Iterator<Item = Chase> {
+fn draw_chases(count: usize) -> impl Iterator<Item = Chase> {
     let mut runner = TestRunner::deterministic();
     (0..count).map(move |_| chase(false).new_tree(&mut runner).unwrap().current())
 }
 
 #[test]
-fn without_the_shield_they_do() {
+fn without_a_shield_drivers_hit_the_vehicle_ahead() {
     let scenarios: Vec<_> = draws(200).map(|chase| chase.scenario()).collect();
     let contacts = drivers().map(|driver| {
         let hits = scenarios.iter().filter(|s| with_truth(s, driver.clone()).outcome != Outcome::NoCollision);

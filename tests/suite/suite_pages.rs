@@ -8,7 +8,7 @@ use std::process::Command;
 use crumple_core::observer::Quiet;
 use crumple_report::assessment::{AssessmentPlan, Gate, Property, Store, Strength, SuiteConfig, assess};
 use crumple_report::suite::html;
-use crumple_suites::{Beyond, MarginEnd, STATEMENT, Suite, run};
+use crumple_suites::{Beyond, MarginEnd, DISCLAIMER, Suite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -16,7 +16,7 @@ use crate::assessments::config;
 use crate::command_line::{code, crumple, folder};
 use crate::tiny::changed;
 
-fn named(name: &str) -> NamedController {
+fn find_controller(name: &str) -> NamedController {
     NamedController::find(name, Path::new("")).unwrap()
 }
 
@@ -28,7 +28,7 @@ fn a_page_needs_nothing_else_and_says_what_it_is() {
     controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
     let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
     let page = html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
-    assert!(page.matches(STATEMENT).count() >= 2 && page.contains("prefers-color-scheme:dark"));
+    assert!(page.matches(DISCLAIMER).count() >= 2 && page.contains("prefers-color-scheme:dark"));
     assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
     assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
     let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split('"').next());
@@ -41,7 +41,7 @@ fn a_page_needs_nothing_else_and_says_what_it_is() {
     assert!(page.contains("prevents it") && page.contains("avoidable: an escape keeps"));
 }
 
-const STANDS: &str = r#"version = 1
+const STANDING_SUITE: &str = r#"version = 1
 name = "stands"
 about = "A vehicle that stands."
 document = "None"
@@ -67,15 +67,15 @@ fn a_tolerance_belongs_to_the_criterion() {
         let result = run(&load(text).unwrap(), &[named("baseline")], EstimatorKind::Truth).unwrap();
         result.clauses[0].tests[0].controllers[0].clone()
     };
-    let with = tested(STANDS);
+    let with = tested(STANDING_SUITE);
     let within = with.within.as_ref().expect("a tolerance is searched within");
     assert!(with.verdict.is_passed() && within.verdict.is_failure() && !with.is_passed());
     let speed_kmph: f64 = within.point.split(' ').nth(2).unwrap().parse().unwrap();
     assert!((75.06..=77.0).contains(&speed_kmph), "{}", within.point);
     assert!(within.failures > 0 && within.failures < within.tried, "points about 60 km/h pass");
-    let without = tested(&changed(STANDS, &[(", tolerance = 2.0", "")]));
+    let without = tested(&changed(STANDING_SUITE, &[(", tolerance = 2.0", "")]));
     assert!(without.within.is_none() && without.is_passed());
-    let near = tested(&changed(STANDS, &[("75.0", "70.0")]));
+    let near = tested(&changed(STANDING_SUITE, &[("75.0", "70.0")]));
     assert!(near.is_passed() && near.within.is_some());
     for (tolerance, said) in [
         (
@@ -86,7 +86,7 @@ fn a_tolerance_belongs_to_the_criterion() {
         ("inf", "must be a number from 0 on, found inf"),
         ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
     ] {
-        let text = changed(STANDS, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
+        let text = changed(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
         let error = load(&text).unwrap_err().to_string();
         assert!(error.contains(said), "{tolerance}: {error}");
     }
@@ -128,7 +128,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
     assert!(first.get(3).is_none_or(|png| png.starts_with(b"\x89PNG")));
     let svg = String::from_utf8(svg).unwrap();
     assert!(svg.contains("idm") && svg.contains("AFGBV") && svg.contains("no certification"));
-    assert!(String::from_utf8(page).unwrap().matches(STATEMENT).count() >= 2);
+    assert!(String::from_utf8(page).unwrap().matches(DISCLAIMER).count() >= 2);
     let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
     let panels = json["panels"].as_array().unwrap();
     assert_eq!(panels.len(), 5);
@@ -155,7 +155,7 @@ fn maps_are_drawn_and_told_the_same_on_any_threads() {
 #[test]
 fn suites_are_evidence_of_an_assessment() {
     let folder = folder();
-    fs::write(folder.path().join("own.toml"), changed(STANDS, &[(", tolerance = 2.0", "")])).unwrap();
+    fs::write(folder.path().join("own.toml"), changed(STANDING_SUITE, &[(", tolerance = 2.0", "")])).unwrap();
     let suite = |suite: &str, controllers: &[&str]| -> SuiteConfig {
         serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers })).unwrap()
     };

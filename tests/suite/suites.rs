@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crumple_suites::{
-    Beyond, Figure, Lead, MarginEnd, NOT_SHIPPED, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite,
+    Beyond, Figure, Lead, MarginEnd, UNSHIPPED_DOCUMENTS, Origin, Parameter, Prevention, ReferenceRun, SHIPPED, Suite,
     TestVerdict, Unit, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
@@ -16,10 +16,10 @@ use crate::schema::{assert_committed, validate};
 use crate::tiny::changed;
 
 /// A figure that a document states: suite, test, what, every value or, where others lie between them, the smallest and the largest, unit.
-type Stated = (&'static str, &'static str, Parameter, &'static [f64], Unit);
+type StatedParameter = (&'static str, &'static str, Parameter, &'static [f64], Unit);
 
 /// What the documents state, written down a second time and from nothing in the suites' files.
-const STATED: [Stated; 83] = {
+const STATED_PARAMETERS: [StatedParameter; 83] = {
     use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
     use Unit::{Gravity, Kmph, Metre, Mps2, Second};
     [
@@ -125,7 +125,7 @@ const STATED: [Stated; 83] = {
 };
 
 /// The contacts that a document allows, in km/h: UN R152, 5.2.1.4, M1 in running order.
-const ALLOWED: [(&str, &str, f64); 5] = [
+const ALLOWED_IMPACTS: [(&str, &str, f64); 5] = [
     ("un-r152", "table-45", 15.0),
     ("un-r152", "table-50", 25.0),
     ("un-r152", "table-55", 30.0),
@@ -133,7 +133,7 @@ const ALLOWED: [(&str, &str, f64); 5] = [
     ("un-r152", "stationary-60", 35.0),
 ];
 
-fn shipped(name: &str) -> Suite {
+fn shipped_suite(name: &str) -> Suite {
     Suite::shipped(name).expect("shipped").expect("valid")
 }
 
@@ -143,7 +143,7 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
     for (name, _) in SHIPPED {
         for test in shipped(name).spec().clauses.iter().flat_map(|clause| &clause.tests) {
             for (parameter, figure) in test.figures.stated().filter(|(_, figure)| figure.origin != Origin::Chosen) {
-                let rows = STATED.iter().filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
+                let rows = STATED_PARAMETERS.iter().filter(|row| (row.0, row.1, row.2) == (name, test.name.as_str(), parameter));
                 let rows: Vec<_> = rows.collect();
                 let place = format!("{name}, {}, {parameter:?}", test.name);
                 let [row] = rows[..] else { panic!("{place}: {rows:?}") };
@@ -158,7 +158,7 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
                 stated += 1;
             }
             if let Some(limit) = &test.impact_at_most {
-                let row = ALLOWED.iter().find(|row| (row.0, row.1) == (name, test.name.as_str()));
+                let row = ALLOWED_IMPACTS.iter().find(|row| (row.0, row.1) == (name, test.name.as_str()));
                 assert_eq!(
                     row.map(|row| (row.2, Unit::Kmph)),
                     Some((limit.value, limit.unit)),
@@ -169,7 +169,7 @@ fn figures_that_a_document_states_are_those_of_a_second_transcription() {
             }
         }
     }
-    assert_eq!((stated, allowed), (STATED.len(), ALLOWED.len()), "nothing is transcribed that no suite has");
+    assert_eq!((stated, allowed), (STATED_PARAMETERS.len(), ALLOWED_IMPACTS.len()), "nothing is transcribed that no suite has");
 }
 
 /// UN R157, 5.2.5.2: the values of the suite are its formula's, to the millisecond and on the side that it asks of; the AFGBV's
@@ -208,7 +208,7 @@ fn the_committed_suite_schema_is_that_of_the_types_and_takes_what_is_shipped() {
 }
 
 /// A vehicle that stands, 5 s ahead.
-const OWN: &str = r#"version = 1
+const OWN_SUITE: &str = r#"version = 1
 name = "own"
 about = "A vehicle that stands."
 document = "None"
@@ -227,11 +227,11 @@ figures.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
 figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
-fn own() -> Suite {
+fn own_suite() -> Suite {
     Suite::from_toml(OWN, Path::new("own.toml")).unwrap()
 }
 
-fn named(name: &str) -> NamedController {
+fn find_controller(name: &str) -> NamedController {
     NamedController::find(name, Path::new("")).unwrap()
 }
 
@@ -427,7 +427,7 @@ fn every_situation_is_the_one_that_its_figures_say() {
                 let [.., ahead, own] = scenario.vehicles() else { panic!("two vehicles") };
                 let value = |parameter| {
                     let stated = test.figures.stated().zip(&point).find(|((found, _), _)| *found == parameter);
-                    stated.map(|((_, figure), value)| value * figure.unit.in_si()).unwrap()
+                    stated.map(|((_, figure), value)| value * figure.unit.si_factor()).unwrap()
                 };
                 let gap_m = ahead.position_m - ahead.length_m() - own.position_m;
                 assert!((own.speed_mps - value(Parameter::OwnSpeed)).abs() < 1e-12);
@@ -612,7 +612,7 @@ fn suites_are_listed_and_shown_and_what_is_shown_is_a_suite() {
     let list = crumple(folder.path(), &["suite", "list"]);
     let list = String::from_utf8(list.stdout).unwrap();
     for (name, _) in SHIPPED {
-        assert!(list.contains(name) && list.contains("no certification") && list.contains(NOT_SHIPPED[0].0), "{list}");
+        assert!(list.contains(name) && list.contains("no certification") && list.contains(UNSHIPPED_DOCUMENTS[0].0), "{list}");
         let shown = crumple(folder.path(), &["suite", "show", name]).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
         assert_eq!(Suite::load(&folder.path().join("copy.toml")).unwrap(), shipped(name));

@@ -17,7 +17,7 @@ use self::fault_injection::{Fault, Wrong};
 use crate::generate::{any_test_case, ask, bytes, cases};
 
 /// Where the corpora of the fuzz targets are.
-fn seeds_of(target: &str) -> Vec<PathBuf> {
+fn fuzz_seeds(target: &str) -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/fuzz").join(target);
     let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     // What a local fuzzer added is named by its hash, and is not committed.
@@ -31,7 +31,7 @@ fn seeds_of(target: &str) -> Vec<PathBuf> {
 #[test]
 fn committed_seeds_pass() {
     for (name, target) in TARGETS {
-        let seeds = seeds_of(name);
+        let seeds = fuzz_seeds(name);
         assert!(seeds.len() >= 5, "{name} has {} seeds", seeds.len());
         for seed in seeds {
             let bytes = fs::read(&seed).expect("readable");
@@ -84,7 +84,7 @@ proptest! {
 /// A violation says what was found and how to see it again, in a file that can be read and run.
 #[test]
 fn a_violation_brings_a_scenario_file() {
-    let test_case = TestCase::of_bytes(&[]);
+    let test_case = TestCase::from_bytes(&[]);
     let violation = test_case.ask(one_story, &Wrong(Fault::ContactForgotten)).expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
     let read = crumple_world::scenario::file::from_toml(&violation.reproducer, path).expect("a scenario file");
@@ -145,7 +145,7 @@ fn a_search_takes_controllers_of_any_decision_interval() {
         let mut own_steps_s = Vec::new();
         for choice in 0..8 {
             let input = [0, choice];
-            own_steps_s.push(TestCase::of_bytes(&input).scenario.spec().step_s);
+            own_steps_s.push(TestCase::from_bytes(&input).scenario.spec().step_s);
             search.take(&input).unwrap_or_else(|error| panic!("{interval_s}: {error}"));
         }
         own_steps_s.sort_by(f64::total_cmp);

@@ -1,7 +1,7 @@
 //! Presets of trainings that take no time: tiny networks, and a checkpoint every ten episodes.
 
 /// A text of which each of some passages stands changed.
-pub(crate) fn changed(text: &str, changes: &[(&str, &str)]) -> String {
+pub(crate) fn replace_passages(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (from, to)| {
         assert!(text.contains(from), "{from}");
         text.replace(from, to)
@@ -42,7 +42,7 @@ pub(crate) fn retraining() -> String {
 }
 
 /// With so small a memory that checkpoints are small, too.
-pub(crate) fn forgetful(preset: &str) -> String {
+pub(crate) fn with_small_memory(preset: &str) -> String {
     let capacity = preset.lines().find(|line| line.starts_with("capacity = ")).expect("every preset has one");
     changed(preset, &[(capacity, "capacity = 200")])
 }

@@ -27,35 +27,35 @@
 //! it does not matter what the leader does. With u the least of the speeds of leader and egos, no ego falls back that brakes to u at most, nor
 //! a leader that does not brake. A follower that has not fired may do so later, and then falls back; it must not be faster than u.
 
-use crate::certificate::Avoidable;
+use crate::certificate::AvoidableClaim;
 use crate::claim::Scene;
 use crate::interval::Interval;
-use crate::motion::{after, expand};
-use crate::work::{OF_INTERVAL, Work};
-use crate::{Accepted, Afterwards, Rejection};
+use crate::motion::{distance_and_speed_after, expand_pieces};
+use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
+use crate::{ProvedClaim, SafetyAfterHorizon, Rejection};
 
 /// Operations for one step of one vehicle.
-const A_STEP: u64 = 20 * OF_INTERVAL;
+const OPS_PER_STEP: u64 = 20 * OPS_PER_INTERVAL_OP;
 
-pub(crate) fn check(claim: &Avoidable, work: &Work) -> Result<Accepted, Rejection> {
+pub(crate) fn check(claim: &AvoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     claim.scene.check()?;
-    work.spend(claim.scene.instants() * claim.scene.vehicles() * A_STEP)?;
+    work.charge_or_reject(claim.scene.instant_count() * claim.scene.vehicle_count() * OPS_PER_STEP)?;
     check_profiles(claim)?;
-    let (smallest_gap_m, afterwards) = replayed(claim)?;
+    let (smallest_gap_m, afterwards) = replay(claim)?;
     let stated_m = claim.min_gap_m_at_least.unwrap_or(0.0);
     if smallest_gap_m >= stated_m {
-        Ok(Accepted::Avoidable { smallest_gap_m, horizon_s: claim.scene.horizon_s(), afterwards })
+        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, horizon_s: claim.scene.horizon_s(), after_horizon: afterwards })
     } else {
-        Err(Rejection::SmallestGap { stated_m, smallest_gap_m })
+        Err(Rejection::GapTooSmall { stated_m, min_gap_m: smallest_gap_m })
     }
 }
 
-fn check_profiles(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(), Rejection> {
+fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(), Rejection> {
     if witness.len() != scene.egos.len() {
         return Err(Rejection::invalid("witness", "must hold one profile for each ego"));
     }
     for (index, (profile, ego)) in witness.iter().zip(&scene.egos).enumerate() {
-        scene.check_length(profile, || format!("witness[{index}]"))?;
+        scene.check_profile_length(profile, || format!("witness[{index}]"))?;
         let is_able = |a: f64| -ego.max_brake_mps2 <= a && a <= ego.max_accel_mps2;
         if let Some(piece) = profile.iter().position(|held| !is_able(held.1)) {
             return Err(Rejection::invalid(
@@ -68,9 +68,9 @@ fn check_profiles(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(), Re
 }
 
 /// A lower bound of every gap at every time, in metres, and what holds from the last instant on.
-fn replayed(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(f64, Afterwards), Rejection> {
-    let profiles: Vec<Vec<Interval>> = std::iter::once(expand(&scene.leader.acceleration_mps2).collect())
-        .chain(witness.iter().map(|profile| expand(profile).map(Interval::point).collect()))
+fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<(f64, SafetyAfterHorizon), Rejection> {
+    let profiles: Vec<Vec<Interval>> = std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
+        .chain(witness.iter().map(|profile| expand_pieces(profile).map(Interval::point).collect()))
         .collect();
     let mut line: Vec<(Interval, Interval)> = std::iter::once((scene.leader.position_m, scene.leader.speed_mps))
         .chain(scene.egos.iter().map(|ego| (ego.position_m, ego.speed_mps)))
@@ -81,12 +81,12 @@ fn replayed(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(f64, Afterw
     let mut smallest_m = f64::INFINITY;
     let mut before = gaps_m(scene, &line, fires, 0);
     for k in 0..scene.steps {
-        if fires == scene.steps && surely_fires(scene, &line, k) {
+        if fires == scene.steps && must_fire(scene, &line, k) {
             fires = k;
         }
         let mut accelerations: Vec<Interval> = profiles.iter().map(|profile| profile[k as usize]).collect();
         for ((x, v), &a) in line.iter_mut().zip(&accelerations) {
-            let (covered_m, speed_mps) = after(*v, a, step_s);
+            let (covered_m, speed_mps) = distance_and_speed_after(*v, a, step_s);
             (*x, *v) = (*x + covered_m, speed_mps);
         }
         accelerations.extend(scene.follower.as_ref().map(|follower| -follower.brake_mps2));
@@ -98,23 +98,23 @@ fn replayed(Avoidable { scene, witness, .. }: &Avoidable) -> Result<(f64, Afterw
             if gap_m > 0.0 {
                 smallest_m = smallest_m.min(gap_m);
             } else {
-                return Err(Rejection::MayTouch { front_vehicle: front, step: k, gap_m });
+                return Err(Rejection::MayCollide { front_vehicle: front, step: k, gap_m });
             }
         }
         before = now;
     }
-    Ok((smallest_m, afterwards(scene, &line, fires, &before)))
+    Ok((smallest_m, safety_after_horizon(scene, &line, fires, &before)))
 }
 
 /// What holds from the last instant on, with the positions and speeds of leader and egos and the gaps there.
-fn afterwards(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: &[Interval]) -> Afterwards {
+fn safety_after_horizon(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: &[Interval]) -> SafetyAfterHorizon {
     // None moves more slowly as long as nobody brakes below it.
     let slowest = Interval::point(line.iter().map(|(_, v)| v.low()).fold(f64::INFINITY, f64::min));
     let followed = scene.follower.as_ref().map(|follower| {
         // The last instant means never.
         let brakes = fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
         let brake_mps2 = if brakes { follower.brake_mps2 } else { Interval::ZERO };
-        (scene.follower_mps(follower, fires, scene.steps), brake_mps2)
+        (scene.follower_speed_mps(follower, fires, scene.steps), brake_mps2)
     });
     let egos = scene.egos.iter().zip(line.iter().skip(1));
     let behind = egos.map(|(ego, (_, v))| (*v, Interval::point(ego.max_brake_mps2))).chain(followed);
@@ -127,11 +127,11 @@ fn afterwards(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: 
         })
     };
     if keep_off(Interval::ZERO) {
-        Afterwards::WhateverTheLeaderDoes
+        SafetyAfterHorizon::ForAnyLeader
     } else if keep_off(slowest) {
-        Afterwards::IfTheLeaderDoesNotBrake
+        SafetyAfterHorizon::UnlessLeaderBrakes
     } else {
-        Afterwards::NotShown
+        SafetyAfterHorizon::Unproved
     }
 }
 
@@ -139,16 +139,16 @@ fn afterwards(scene: &Scene, line: &[(Interval, Interval)], fires: u32, gaps_m: 
 fn gaps_m(scene: &Scene, line: &[(Interval, Interval)], fires: u32, k: u32) -> Vec<Interval> {
     let lengths_m = std::iter::once(scene.leader.length_m).chain(scene.egos.iter().map(|ego| ego.length_m));
     let rears = line.iter().zip(lengths_m).map(|((x, _), length_m)| *x - Interval::point(length_m));
-    let follower = scene.follower.as_ref().map(|follower| scene.follower_m(follower, fires, k));
+    let follower = scene.follower.as_ref().map(|follower| scene.follower_position_m(follower, fires, k));
     let fronts = line.iter().skip(1).map(|(x, _)| *x).chain(follower);
     rears.zip(fronts).map(|(rear, front)| rear - front).collect()
 }
 
 /// Whether at instant `k` the guard is negative in every member in which it was not before.
-fn surely_fires(scene: &Scene, line: &[(Interval, Interval)], k: u32) -> bool {
+fn must_fire(scene: &Scene, line: &[(Interval, Interval)], k: u32) -> bool {
     let (Some(follower), Some(ego), Some((x, v))) = (&scene.follower, scene.egos.last(), line.last()) else {
         return false;
     };
-    let gap = *x - Interval::point(ego.length_m) - scene.follower_m(follower, scene.steps, k);
+    let gap = *x - Interval::point(ego.length_m) - scene.follower_position_m(follower, scene.steps, k);
     (gap - Interval::point(follower.ttc_s) * (follower.speed_mps - *v)).high() < 0.0
 }

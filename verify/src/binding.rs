@@ -6,13 +6,13 @@
 //! not looked at.
 
 use crate::canonical::{is_sha256, sha256};
-use crate::certificate::{Assumption, Certificate, Provenance, Statement};
+use crate::certificate::{Assumption, Certificate, CertificateProvenance, Statement};
 use crate::rate::Registration;
-use crate::reach::file_name;
+use crate::reach::controller_file_name;
 use crate::{Rejection, rate};
 
 /// Entries that every registration has, and those of a second controller.
-const ENTRIES: [&str; 9] = [
+const REQUIRED_ENTRIES: [&str; 9] = [
     "controller",
     "controller_sha256",
     "crumple",
@@ -23,9 +23,9 @@ const ENTRIES: [&str; 9] = [
     "space",
     "space_sha256",
 ];
-const ENTRIES_OF_TWO: [&str; 2] = ["against", "against_sha256"];
+const COMPARISON_ENTRIES: [&str; 2] = ["against", "against_sha256"];
 /// Entries of controllers that are learned policies.
-const POLICIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
+const POLICY_ENTRIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
 
 /// Checks all that version 2 adds.
 pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
@@ -36,42 +36,42 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
         return Err(Rejection::invalid("assumptions", "are not in the order of their definition"));
     }
     match &certificate.statement {
-        Statement::Kernel(_) => absent(provenance, "must be absent: a kernel is about no one scenario"),
+        Statement::Kernel(_) => check_no_source(provenance, "must be absent: a kernel is about no one scenario"),
         Statement::AdaptiveCruise(claim) => {
-            absent(provenance, "must be absent: the benchmark is its own scenario")?;
-            is_named_after(&claim.policy_file, &claim.policy_sha256, true)
+            check_no_source(provenance, "must be absent: the benchmark is its own scenario")?;
+            check_policy_file_name(&claim.policy_file, &claim.policy_sha256, true)
         }
         Statement::Reach(claim) => {
-            has_source(provenance)?;
+            check_source(provenance)?;
             if provenance.box_text.is_none() {
                 return Err(Rejection::invalid("provenance.box_text", "is missing"));
             }
-            is_named_after(&claim.policy_file, &claim.policy_sha256, claim.source.is_some())
+            check_policy_file_name(&claim.policy_file, &claim.policy_sha256, claim.source.is_some())
         }
         Statement::Rate(claim) => {
-            is_of_space(provenance, &claim.registration, false)?;
-            rate::check_blocks_of_rate(claim)
+            check_space(provenance, &claim.registration, false)?;
+            rate::check_rate_blocks(claim)
         }
         Statement::Comparison(claim) => {
-            is_of_space(provenance, &claim.registration, true)?;
-            rate::check_blocks_of_comparison(claim)
+            check_space(provenance, &claim.registration, true)?;
+            rate::check_comparison_blocks(claim)
         }
         // All others are about a scene.
-        _ => has_source(provenance),
+        _ => check_source(provenance),
     }
 }
 
 /// The file of a network has the name that follows from its digest.
-fn is_named_after(file: &str, digest: &str, is_from_outside: bool) -> Result<(), Rejection> {
-    if is_sha256(digest) && file == file_name(digest, is_from_outside) {
+fn check_policy_file_name(file: &str, digest: &str, is_from_outside: bool) -> Result<(), Rejection> {
+    if is_sha256(digest) && file == controller_file_name(digest, is_from_outside) {
         Ok(())
     } else {
         Err(Rejection::invalid("policy_file", "is not named after `policy_sha256`"))
     }
 }
 
-fn absent(provenance: &Provenance, problem: &'static str) -> Result<(), Rejection> {
-    let Provenance { scenario, scenario_sha256, scenario_text, box_text, .. } = provenance;
+fn check_no_source(provenance: &CertificateProvenance, problem: &'static str) -> Result<(), Rejection> {
+    let CertificateProvenance { scenario, scenario_sha256, scenario_text, box_text, .. } = provenance;
     let given = [
         ("provenance.scenario", !scenario.is_empty()),
         ("provenance.scenario_sha256", !scenario_sha256.is_empty()),
@@ -85,7 +85,7 @@ fn absent(provenance: &Provenance, problem: &'static str) -> Result<(), Rejectio
 }
 
 /// A name, a text and its hash.
-fn has_source(provenance: &Provenance) -> Result<(), Rejection> {
+fn check_source(provenance: &CertificateProvenance) -> Result<(), Rejection> {
     if provenance.scenario.is_empty() {
         return Err(Rejection::invalid("provenance.scenario", "is missing"));
     }
@@ -98,18 +98,18 @@ fn has_source(provenance: &Provenance) -> Result<(), Rejection> {
 }
 
 /// The registration names the space of the provenance, and nothing that is not known here.
-fn is_of_space(provenance: &Provenance, registration: &Registration, two: bool) -> Result<(), Rejection> {
-    has_source(provenance)?;
+fn check_space(provenance: &CertificateProvenance, registration: &Registration, two: bool) -> Result<(), Rejection> {
+    check_source(provenance)?;
     if provenance.box_text.is_some() {
         return Err(Rejection::invalid("provenance.box_text", "must be absent: runs are drawn from a space"));
     }
     let place = |key: &str| format!("registration.configuration.{key}");
     let entries = &registration.configuration;
-    let needed = || ENTRIES.iter().chain(ENTRIES_OF_TWO.iter().filter(|_| two));
+    let needed = || REQUIRED_ENTRIES.iter().chain(COMPARISON_ENTRIES.iter().filter(|_| two));
     if let Some(key) = needed().find(|key| entries.get(**key).is_none_or(String::is_empty)) {
         return Err(Rejection::invalid(place(key), "is missing"));
     }
-    let may_be = |key: &str| needed().chain(POLICIES.iter().take(if two { 2 } else { 1 })).any(|known| *known == key);
+    let may_be = |key: &str| needed().chain(POLICY_ENTRIES.iter().take(if two { 2 } else { 1 })).any(|known| *known == key);
     if let Some(key) = entries.keys().find(|key| !may_be(key)) {
         return Err(Rejection::invalid(place(key), "is not known"));
     }

@@ -8,22 +8,22 @@ use std::marker::PhantomData;
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
 /// A list of at most `N` entries.
-pub(crate) fn list<'de, const N: usize, D: Deserializer<'de>, T: Deserialize<'de>>(
+pub(crate) fn deserialize_list<'de, const N: usize, D: Deserializer<'de>, T: Deserialize<'de>>(
     from: D,
 ) -> Result<Vec<T>, D::Error> {
-    from.deserialize_seq(List::<N, T>(PhantomData))
+    from.deserialize_seq(BoundedListVisitor::<N, T>(PhantomData))
 }
 
 /// A map of at most `N` entries, each name once.
-pub(crate) fn map<'de, const N: usize, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, String>, D::Error> {
-    from.deserialize_map(Map::<N>)
+pub(crate) fn deserialize_map<'de, const N: usize, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, String>, D::Error> {
+    from.deserialize_map(BoundedMapVisitor::<N>)
 }
 
-struct List<const N: usize, T>(PhantomData<T>);
+struct BoundedListVisitor<const N: usize, T>(PhantomData<T>);
 
-struct Map<const N: usize>;
+struct BoundedMapVisitor<const N: usize>;
 
-impl<'de, const N: usize, T: Deserialize<'de>> Visitor<'de> for List<N, T> {
+impl<'de, const N: usize, T: Deserialize<'de>> Visitor<'de> for BoundedListVisitor<N, T> {
     type Value = Vec<T>;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -42,7 +42,7 @@ impl<'de, const N: usize, T: Deserialize<'de>> Visitor<'de> for List<N, T> {
     }
 }
 
-impl<'de, const N: usize> Visitor<'de> for Map<N> {
+impl<'de, const N: usize> Visitor<'de> for BoundedMapVisitor<N> {
     type Value = BTreeMap<String, String>;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -11,7 +11,7 @@ use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor}
 use sha2::{Digest, Sha256};
 
 /// Line and column, from 1, at which a JSON text departs from its canonical form, whitespace between tokens apart.
-pub(crate) fn departure(text: &str, canonical: &str) -> Option<(usize, usize)> {
+pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, usize)> {
     let mut expected = canonical.bytes();
     let (mut in_string, mut escaped) = (false, false);
     for (place, byte) in text.bytes().enumerate() {
@@ -44,15 +44,15 @@ pub(crate) fn is_sha256(text: &str) -> bool {
 }
 
 /// Any JSON of which nothing is needed but that no object in it has two entries of one name.
-pub(crate) struct NoNameTwice;
+pub(crate) struct UniqueKeys;
 
-impl<'de> Deserialize<'de> for NoNameTwice {
+impl<'de> Deserialize<'de> for UniqueKeys {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         from.deserialize_any(Self)
     }
 }
 
-impl<'de> Visitor<'de> for NoNameTwice {
+impl<'de> Visitor<'de> for UniqueKeys {
     type Value = Self;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn a_name_that_occurs_twice_is_found_at_any_depth() {
         let read =
-            |text: &str| serde_json::from_str::<NoNameTwice>(text).map(|_| ()).map_err(|error| error.to_string());
+            |text: &str| serde_json::from_str::<UniqueKeys>(text).map(|_| ()).map_err(|error| error.to_string());
         assert_eq!(read(r#"{"a": [{"b": 1}, {"b": null}], "b": {"a": true}}"#), Ok(()));
         let error = read(r#"{"a": [{"b": 1, "c": -1, "b": 1.5}]}"#).unwrap_err();
         assert!(error.starts_with("duplicate key \"b\""), "{error}");
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn what_is_no_json_is_said_to_be_none() {
         let bytes = serde::de::value::BytesDeserializer::<serde::de::value::Error>::new(b"no text");
-        let error = NoNameTwice::deserialize(bytes).map(|_| ()).unwrap_err().to_string();
+        let error = UniqueKeys::deserialize(bytes).map(|_| ()).unwrap_err().to_string();
         assert_eq!(error, "invalid type: byte array, expected JSON");
     }
 }

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::bounded;
 use crate::canonical;
-use crate::claim::{Held, MOST_EGOS, MOST_STEPS, Scene};
-use crate::cruise::Cruise;
-use crate::kernel::Kernel;
-use crate::rate::{Comparison, Rate};
-use crate::reach::Reach;
+use crate::claim::{ConstantPiece, MAX_EGOS, MAX_STEPS, Scene};
+use crate::cruise::CruiseClaim;
+use crate::kernel::KernelClaim;
+use crate::rate::{ComparisonClaim, RateClaim};
+use crate::reach::ReachClaim;
 
 /// The version of the format that is written.
 pub const VERSION: u32 = 2;
@@ -20,11 +20,11 @@ pub const VERSION: u32 = 2;
 pub const FIRST_VERSION: u32 = 1;
 
 /// What stands beside an accepted rate or comparison whose runs were not made again.
-pub const COUNTS_ARE_THE_MAKERS_WORD: &str =
+pub const UNVERIFIED_COUNTS_CAVEAT: &str =
     "the counts are the maker's word: `crumple check --rerun` draws and simulates again";
 
 /// Longest file that is read, in bytes.
-pub const MOST_BYTES: usize = 64 << 20;
+pub const MAX_BYTES: usize = 64 << 20;
 
 /// A statement with what it assumes and what it takes to check it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -33,7 +33,7 @@ pub struct Certificate {
     /// Version of the format: 2, or 1 for old files.
     pub version: u32,
     /// What the statement is about, and which program wrote it.
-    pub provenance: Provenance,
+    pub provenance: CertificateProvenance,
     /// What is taken for granted: exactly what the statement needs, each once.
     pub assumptions: Vec<Assumption>,
     /// What is claimed, and its proof.
@@ -47,7 +47,7 @@ pub struct Certificate {
 /// nothing was concluded from any of them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Provenance {
+pub struct CertificateProvenance {
     /// Version of the program that wrote it.
     pub crumple: String,
     /// Name of the scenario, or of the space.
@@ -131,21 +131,21 @@ impl std::fmt::Display for Assumption {
 #[serde(rename_all = "kebab-case")]
 pub enum Statement {
     /// With one profile of ego accelerations nobody touches.
-    Avoidable(Avoidable),
+    Avoidable(AvoidableClaim),
     /// With no profile of ego accelerations does nobody touch.
-    Unavoidable(Unavoidable),
+    Unavoidable(UnavoidableClaim),
     /// With no profile of ego accelerations does every gap stay larger than stated.
-    GapBound(GapBound),
+    GapBound(GapBoundClaim),
     /// From exactly these states contact can be avoided.
-    Kernel(Kernel),
+    Kernel(KernelClaim),
     /// A controller fails at no more than a rate.
-    Rate(Rate),
+    Rate(RateClaim),
     /// One controller fails less often than another.
-    Comparison(Comparison),
+    Comparison(ComparisonClaim),
     /// A policy keeps parts of a box free of contact.
-    Reach(Reach),
+    Reach(ReachClaim),
     /// A network keeps its distance in a public benchmark.
-    AdaptiveCruise(Cruise),
+    AdaptiveCruise(CruiseClaim),
 }
 
 impl Statement {
@@ -218,12 +218,12 @@ impl Statement {
 /// A profile with which nobody touches.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Avoidable {
+pub struct AvoidableClaim {
     /// What it speaks about.
     pub scene: Scene,
     /// Acceleration of each ego over each of the N steps, in m/s².
-    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
-    pub witness: Vec<Vec<Held<f64>>>,
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub witness: Vec<Vec<ConstantPiece<f64>>>,
     /// Also claimed, if stated: no gap is ever smaller, in metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_gap_m_at_least: Option<f64>,
@@ -232,29 +232,29 @@ pub struct Avoidable {
 /// A proof that every profile ends in contact.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Unavoidable {
+pub struct UnavoidableClaim {
     /// What it speaks about.
     pub scene: Scene,
     /// A proof for each range of instants at which the follower's brake may fire; one for all if there is no follower.
-    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize + 1 }, _, _>")]
+    #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }
 
 /// A proof that no profile keeps every gap larger than stated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct GapBound {
+pub struct GapBoundClaim {
     /// What it speaks about.
     pub scene: Scene,
     /// Some gap gets as small as this, in metres; not negative.
     pub gap_m: f64,
     /// As for [`Unavoidable`].
-    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize + 1 }, _, _>")]
+    #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize + 1 }, _, _>")]
     pub branches: Vec<Branch>,
 }
 
 /// Pairs of an instant, increasing, and a multiplier that is not negative. In a file `[[instant, multiplier], …]`.
-pub type Rows = Vec<(u32, f64)>;
+pub type MultiplierRows = Vec<(u32, f64)>;
 
 /// Multipliers for all profiles in which the follower's brake first fires at an instant from `first` to `last`.
 ///
@@ -267,17 +267,17 @@ pub struct Branch {
     /// Latest firing instant.
     pub last: u32,
     /// The first ego stays behind the leader, instants 0 to N.
-    pub front: Rows,
+    pub front: MultiplierRows,
     /// Ego i + 1 stays behind ego i, one list for each pair.
-    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
-    pub between: Vec<Rows>,
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub between: Vec<MultiplierRows>,
     /// The last ego stays ahead of the follower, instants 0 to N.
-    pub rear: Rows,
+    pub rear: MultiplierRows,
     /// No ego reverses, one list for each ego, instants 0 to N.
-    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
-    pub speed: Vec<Rows>,
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub speed: Vec<MultiplierRows>,
     /// The follower's brake has not fired, instants before `first`.
-    pub unfired: Rows,
+    pub unfired: MultiplierRows,
     /// The follower's brake fires at `first`; only where `first` = `last` < N.
     pub fired: f64,
 }
@@ -285,22 +285,22 @@ pub struct Branch {
 /// Why a file is not a certificate.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ParseError {
+pub enum CertificateParseError {
     /// It cannot be read.
     #[error("cannot be read: {0}")]
     Read(#[from] std::io::Error),
     /// It is too long.
-    #[error("is longer than {MOST_BYTES} bytes")]
+    #[error("is longer than {MAX_BYTES} bytes")]
     TooLong,
     /// It is not JSON of the right form; says what was expected, at which line and column.
     #[error("is not a certificate: {0}")]
-    Form(#[from] serde_json::Error),
+    Json(#[from] serde_json::Error),
     /// It has a version that is not known here.
     #[error("has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known")]
-    Version(u32),
+    UnknownVersion(u32),
     /// It says the same as another text: fields in another order, numbers with more digits than they need, defaults spelled out.
     #[error("is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ")]
-    Canonical {
+    NotCanonical {
         /// Where it departs from what this crate would write, from 1.
         line: usize,
         /// Likewise.
@@ -312,7 +312,7 @@ impl Certificate {
     /// The file of the policy or network that it speaks about: the name under which it expects it, and its SHA-256; none if it needs
     /// none.
     #[must_use]
-    pub fn policy(&self) -> Option<(&str, &str)> {
+    pub fn policy_reference(&self) -> Option<(&str, &str)> {
         match &self.statement {
             Statement::Reach(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
             Statement::AdaptiveCruise(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
@@ -323,15 +323,15 @@ impl Certificate {
     /// The policy file the certificate in `path` speaks about: `policy`, or else the one it names, beside it; none if it needs
     /// none or the file cannot be read.
     #[must_use]
-    pub fn policy_bytes(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
-        let beside = path.with_file_name(Path::new(self.policy()?.0).file_name()?);
+    pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
+        let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
         let mut bytes = Vec::new();
-        File::open(policy.unwrap_or(&beside)).ok()?.take(MOST_BYTES as u64).read_to_end(&mut bytes).ok()?;
+        File::open(policy.unwrap_or(&beside)).ok()?.take(MAX_BYTES as u64).read_to_end(&mut bytes).ok()?;
         Some(bytes)
     }
 
     /// Whether the assumptions listed are those that the statement needs, noise of the seed apart.
-    pub(crate) fn lists_its_assumptions(&self) -> bool {
+    pub(crate) fn has_required_assumptions(&self) -> bool {
         let needed = self.statement.assumptions();
         let noise = usize::from(self.assumptions.contains(&Assumption::NoiseOfSeed));
         needed.iter().all(|assumption| self.assumptions.contains(assumption))
@@ -341,26 +341,26 @@ impl Certificate {
     /// Reads a certificate from text.
     ///
     /// # Errors
-    /// [`ParseError`] if the text is not a certificate. One that is read may still be rejected.
-    pub fn from_json(text: &str) -> Result<Self, ParseError> {
-        if text.len() > MOST_BYTES {
-            return Err(ParseError::TooLong);
+    /// [`CertificateParseError`] if the text is not a certificate. One that is read may still be rejected.
+    pub fn from_json(text: &str) -> Result<Self, CertificateParseError> {
+        if text.len() > MAX_BYTES {
+            return Err(CertificateParseError::TooLong);
         }
         let certificate: Self = serde_json::from_str(text)?;
         match certificate.version {
             // Its readers were lenient, and files are left that were written by hand.
             FIRST_VERSION => Ok(certificate),
-            VERSION => match canonical::departure(text, &certificate.canonical()) {
+            VERSION => match canonical::first_difference(text, &certificate.to_canonical_json()) {
                 None => Ok(certificate),
-                Some((line, column)) => Err(ParseError::Canonical { line, column }),
+                Some((line, column)) => Err(CertificateParseError::NotCanonical { line, column }),
             },
-            other => Err(ParseError::Version(other)),
+            other => Err(CertificateParseError::UnknownVersion(other)),
         }
     }
 
     /// The one text of this certificate, but for whitespace between tokens.
     #[must_use]
-    pub fn canonical(&self) -> String {
+    pub fn to_canonical_json(&self) -> String {
         // Structs of strings and finite numbers always have a JSON form.
         serde_json::to_string(self).unwrap_or_default()
     }
@@ -368,14 +368,14 @@ impl Certificate {
     /// SHA-256 of the canonical form, in hexadecimal: what to cite it by.
     #[must_use]
     pub fn digest(&self) -> String {
-        canonical::sha256(self.canonical())
+        canonical::sha256(self.to_canonical_json())
     }
 
     /// What acceptance by this crate alone leaves open, if it does.
     #[must_use]
     pub fn caveat(&self) -> Option<&'static str> {
         match &self.statement {
-            Statement::Rate(_) | Statement::Comparison(_) => Some(COUNTS_ARE_THE_MAKERS_WORD),
+            Statement::Rate(_) | Statement::Comparison(_) => Some(UNVERIFIED_COUNTS_CAVEAT),
             _ => None,
         }
     }
@@ -383,17 +383,17 @@ impl Certificate {
     /// Whether it is of the first version, in which nothing binds the statement to a scenario, a box, a space or the runs that were
     /// counted. Its mathematics is checked all the same.
     #[must_use]
-    pub fn is_old(&self) -> bool {
+    pub fn is_first_version(&self) -> bool {
         self.version == FIRST_VERSION
     }
 
     /// Reads a certificate from a file or any other source.
     ///
     /// # Errors
-    /// [`ParseError`] if it cannot be read or is not a certificate.
-    pub fn from_reader(source: impl std::io::Read) -> Result<Self, ParseError> {
+    /// [`CertificateParseError`] if it cannot be read or is not a certificate.
+    pub fn from_reader(source: impl std::io::Read) -> Result<Self, CertificateParseError> {
         let mut text = String::new();
-        std::io::Read::read_to_string(&mut std::io::Read::take(source, MOST_BYTES as u64 + 1), &mut text)?;
+        std::io::Read::read_to_string(&mut std::io::Read::take(source, MAX_BYTES as u64 + 1), &mut text)?;
         Self::from_json(&text)
     }
 }

@@ -10,13 +10,13 @@ use crate::bounded;
 use crate::interval::Interval;
 
 /// Most steps of a scene.
-pub(crate) const MOST_STEPS: u32 = 100_000;
+pub(crate) const MAX_STEPS: u32 = 100_000;
 /// Most egos of a scene.
-pub const MOST_EGOS: usize = 16;
+pub const MAX_EGOS: usize = 16;
 
 /// A value held over a number of steps. In a file `[steps, value]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Held<T>(pub u32, pub T);
+pub struct ConstantPiece<T>(pub u32, pub T);
 
 /// A line of vehicles, front to rear: the leader, the egos and at most one follower.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,18 +27,18 @@ pub struct Scene {
     /// N, the number of steps. Contact counts from instant 0 to instant N, both included.
     pub steps: u32,
     /// Vehicle 0.
-    pub leader: Leader,
+    pub leader: SceneLeader,
     /// Vehicles 1 to n, n at least 1.
-    #[serde(deserialize_with = "bounded::list::<MOST_EGOS, _, _>")]
-    pub egos: Vec<Ego>,
+    #[serde(deserialize_with = "bounded::deserialize_list::<MAX_EGOS, _, _>")]
+    pub egos: Vec<SceneEgo>,
     /// Vehicle n + 1, if there is one.
-    pub follower: Option<Follower>,
+    pub follower: Option<SceneFollower>,
 }
 
 /// A vehicle that moves as it is told and reacts to nobody.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Leader {
+pub struct SceneLeader {
     /// Front bumper at the start.
     pub position_m: Interval,
     /// Bumper to bumper.
@@ -46,14 +46,14 @@ pub struct Leader {
     /// Speed at the start.
     pub speed_mps: Interval,
     /// Acceleration over each of the N steps.
-    #[serde(deserialize_with = "bounded::list::<{ MOST_STEPS as usize }, _, _>")]
-    pub acceleration_mps2: Vec<Held<Interval>>,
+    #[serde(deserialize_with = "bounded::deserialize_list::<{ MAX_STEPS as usize }, _, _>")]
+    pub acceleration_mps2: Vec<ConstantPiece<Interval>>,
 }
 
 /// A vehicle under test. What drives it is not said: only what it is able to do.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Ego {
+pub struct SceneEgo {
     /// Front bumper at the start.
     pub position_m: Interval,
     /// Bumper to bumper.
@@ -73,7 +73,7 @@ pub struct Ego {
 /// closing in, and says that time to collision is below θ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Follower {
+pub struct SceneFollower {
     /// Front bumper at the start.
     pub position_m: Interval,
     /// Speed at the start.
@@ -95,23 +95,23 @@ impl Scene {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
         }
-        if !(1..=MOST_STEPS).contains(&self.steps) {
+        if !(1..=MAX_STEPS).contains(&self.steps) {
             return Err(Rejection::invalid("steps", "must be from 1 to 100 000"));
         }
-        if !(1..=MOST_EGOS).contains(&self.egos.len()) {
+        if !(1..=MAX_EGOS).contains(&self.egos.len()) {
             return Err(Rejection::invalid("egos", "must be from 1 to 16"));
         }
-        let Leader { length_m, speed_mps, acceleration_mps2, .. } = &self.leader;
-        check_range("leader", &[("length_m", *length_m), ("speed_mps", speed_mps.low())])?;
-        self.check_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
+        let SceneLeader { length_m, speed_mps, acceleration_mps2, .. } = &self.leader;
+        check_nonnegative("leader", &[("length_m", *length_m), ("speed_mps", speed_mps.low())])?;
+        self.check_profile_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
         for (index, ego) in self.egos.iter().enumerate() {
             let limits = [("max_brake_mps2", ego.max_brake_mps2), ("max_accel_mps2", ego.max_accel_mps2)];
-            check_range(&format!("egos[{index}]"), &limits)?;
-            check_range(&format!("egos[{index}]"), &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())])?;
+            check_nonnegative(&format!("egos[{index}]"), &limits)?;
+            check_nonnegative(&format!("egos[{index}]"), &[("length_m", ego.length_m), ("speed_mps", ego.speed_mps.low())])?;
         }
-        if let Some(Follower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
+        if let Some(SceneFollower { speed_mps, brake_mps2, ttc_s, .. }) = &self.follower {
             let fields = [("speed_mps", speed_mps.low()), ("brake_mps2", brake_mps2.low()), ("ttc_s", *ttc_s)];
-            check_range("follower", &fields)?;
+            check_nonnegative("follower", &fields)?;
         }
         Ok(())
     }
@@ -119,21 +119,21 @@ impl Scene {
     /// N h, to the nanosecond: the claim is about no later time.
     #[must_use]
     pub(crate) fn horizon_s(&self) -> f64 {
-        seconds(self.step_s, self.steps)
+        steps_to_seconds(self.step_s, self.steps)
     }
 
     /// N + 1.
-    pub(crate) fn instants(&self) -> u64 {
+    pub(crate) fn instant_count(&self) -> u64 {
         u64::from(self.steps) + 1
     }
 
     /// Leader, egos and follower.
-    pub(crate) fn vehicles(&self) -> u64 {
+    pub(crate) fn vehicle_count(&self) -> u64 {
         1 + self.egos.len() as u64 + u64::from(self.follower.is_some())
     }
 
     /// Whether a profile lasts for exactly N steps.
-    pub(crate) fn check_length<T>(&self, held: &[Held<T>], field: impl Fn() -> String) -> Result<(), Rejection> {
+    pub(crate) fn check_profile_length<T>(&self, held: &[ConstantPiece<T>], field: impl Fn() -> String) -> Result<(), Rejection> {
         // Saturating, as 2^32 pieces of 2^32 steps would overflow; then the total is not N either.
         let steps = held.iter().fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {
@@ -145,11 +145,11 @@ impl Scene {
 }
 
 /// Some steps in seconds, to the nanosecond.
-pub(crate) fn seconds(step_s: f64, steps: u32) -> f64 {
+pub(crate) fn steps_to_seconds(step_s: f64, steps: u32) -> f64 {
     (step_s * f64::from(steps) * 1e9).round() / 1e9
 }
 
-fn check_range(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
+fn check_nonnegative(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
     match fields.iter().find(|(_, value)| !(*value >= 0.0 && value.is_finite())) {
         Some((name, _)) => Err(Rejection::invalid(format!("{of}.{name}"), "is negative or infinite")),
         None => Ok(()),

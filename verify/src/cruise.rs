@@ -29,49 +29,49 @@
 use serde::{Deserialize, Serialize};
 
 use crate::interval::Interval;
-use crate::reach::actor_of;
-use crate::reach::form::Form;
-use crate::reach::relax::exp_minus;
-use crate::reach::{Actor, Input, OBSERVED, Source};
-use crate::work::{Work, WorkLimit};
-use crate::{Accepted, Rejection};
+use crate::reach::load_controller;
+use crate::reach::form::AffineForm;
+use crate::reach::relax::exp_neg;
+use crate::reach::{NeuralController, ControllerInput, OBSERVATION_SIZE, NetworkFileSource};
+use crate::work::{OpBudget, WorkLimit};
+use crate::{ProvedClaim, Rejection};
 
 /// Time between decisions, in seconds.
 pub const PERIOD_S: f64 = 0.1;
 /// Decisions: 5 s of them.
 pub const PERIODS: usize = 50;
 /// What the network is told besides: the set speed in m/s, and the time gap in seconds.
-pub const TOLD: [f64; 2] = [30.0, 1.4];
+pub const SET_SPEED_AND_TIME_GAP: [f64; 2] = [30.0, 1.4];
 /// What is to be kept: this distance in metres, and this time gap in seconds.
-pub const KEPT: [f64; 2] = [10.0, 1.4];
+pub const SAFE_DISTANCE: [f64; 2] = [10.0, 1.4];
 /// The lead car's a, in m/s².
-pub const LEAD_MPS2: f64 = -2.0;
+pub const LEAD_ACCEL_MPS2: f64 = -2.0;
 /// What v² is multiplied with.
 pub const DRAG: f64 = 0.0001;
 /// Where they start: x_lead in metres, v_lead in m/s, x_ego in metres, v_ego in m/s.
-pub const STARTS: [[f64; 2]; 4] = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
+pub const INITIAL_SET: [[f64; 2]; 4] = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
 /// Beyond this nothing is cut: what the network sees, and what it answers.
-pub const FARTHEST: f64 = 1e6;
+pub const CLIP_LIMIT: f64 = 1e6;
 
 /// Most cells.
-pub(crate) const MOST_CELLS: u32 = 10_000;
+pub(crate) const MAX_CELLS: u32 = 10_000;
 /// How far the speed may be from where it was within a period, in m/s: what is tried as V.
-const TRIED_MPS: f64 = 2.0;
+const SPEED_ENCLOSURE_RADIUS_MPS: f64 = 2.0;
 /// Operations of a period but for the network.
-const BESIDES: u64 = 50_000;
+const OPS_PER_PERIOD: u64 = 50_000;
 /// Symbols of D_rel, v_lead and v_ego at the start. Those from here on are of the periods.
 const SHARED_SYMBOLS: usize = 3;
 
 /// How a network drives in the benchmark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Cruise {
+pub struct CruiseClaim {
     /// The file of the network, expected beside the certificate.
     pub policy_file: String,
     /// Its SHA-256, in hexadecimal.
     pub policy_sha256: String,
     /// The file that it was read from.
-    pub source: Source,
+    pub source: NetworkFileSource,
     /// How many equal parts D_rel is cut in at the start.
     pub cells: u32,
     /// D_rel - 10 - 1.4 v_ego is never smaller, in metres.
@@ -82,14 +82,14 @@ pub struct Cruise {
 
 /// What is found of a network.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Found {
+pub struct CruiseBounds {
     /// Lower bound of the margin over the whole box and all times, in metres.
     pub margin_m: f64,
     /// Bounds of x_ego at the end, in metres.
     pub x_ego_m: [f64; 2],
 }
 
-impl Found {
+impl CruiseBounds {
     /// Width of what x_ego can be at the end, in metres; rounded up.
     #[must_use]
     pub fn x_ego_width_m(&self) -> f64 {
@@ -100,74 +100,74 @@ impl Found {
 /// Why nothing is shown of a network.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Unshown {
+pub enum CruiseBoundsError {
     /// It is not the benchmark's problem.
     #[error("must see 30, 1.4, v_ego, D_rel, v_rel every 0.1 s and answer with a, in m/s², uncut")]
-    OtherInputs,
+    ProblemMismatch,
     /// Bounds have become too wide to go on.
     #[error("leads to bounds that are too wide at {0} s")]
     TooWide(f64),
 }
 
 /// What the network has to see.
-fn inputs() -> [Input; 5] {
+fn expected_inputs() -> [ControllerInput; 5] {
     let input =
-        |of, constant| Input { of, constant, absent: None, offset: 0.0, scale: 1.0, low: -FARTHEST, high: FARTHEST };
+        |of, constant| ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -CLIP_LIMIT, high: CLIP_LIMIT };
     // Gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
     let own = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
     let distance = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let relative = [0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0];
-    let nothing = [0.0; OBSERVED];
-    [input(nothing, TOLD[0]), input(nothing, TOLD[1]), input(own, 0.0), input(distance, 0.0), input(relative, 0.0)]
+    let nothing = [0.0; OBSERVATION_SIZE];
+    [input(nothing, SET_SPEED_AND_TIME_GAP[0]), input(nothing, SET_SPEED_AND_TIME_GAP[1]), input(own, 0.0), input(distance, 0.0), input(relative, 0.0)]
 }
 
 /// One of the cars, as forms: the way since the start, v and γ.
 #[derive(Debug, Clone)]
-struct Car {
-    way: Form,
-    speed: Form,
-    gamma: Form,
+struct CarState {
+    distance: AffineForm,
+    speed: AffineForm,
+    gamma: AffineForm,
 }
 
 /// A period's e^(-2 T), K, (T - K)/2 and (T²/2 - (T - K)/2)/2.
-struct Period {
+struct PeriodCoefficients {
     time: Interval,
     decay: Interval,
-    of_speed: Interval,
-    half_of_speed: Interval,
-    of_way: Interval,
+    decay_integral: Interval,
+    second_decay_integral: Interval,
+    third_decay_integral: Interval,
 }
 
 /// What holds throughout a period: Γ and W.
-struct Meanwhile {
+struct PeriodBounds {
     gamma: Interval,
-    drive: Interval,
+    forcing: Interval,
 }
 
-impl Period {
+impl PeriodCoefficients {
     fn new() -> Self {
         let half = Interval::point(0.5);
         // A tenth is between the numbers beside its nearest.
         let time = Interval::ONE.over(Interval::point(10.0));
         let doubled = time + time;
-        let decay = exp_minus(doubled.low()).hull(exp_minus(doubled.high()));
+        let decay = exp_neg(doubled.low()).hull(exp_neg(doubled.high()));
         let of_speed = (Interval::ONE - decay) * half;
         let half_of_speed = (time - of_speed) * half;
         let of_way = (time.sqr() * half - half_of_speed) * half;
-        Self { time, decay, of_speed, half_of_speed, of_way }
+        Self { time, decay, decay_integral: of_speed, second_decay_integral: half_of_speed, third_decay_integral: of_way }
     }
 }
 
-impl Car {
-    fn starting(speed: Form) -> Self {
-        Self { way: Form::default(), speed, gamma: Form::default() }
+impl CarState {
+    fn from_speed(speed: AffineForm) -> Self {
+        Self { distance: AffineForm::default(), speed, gamma: AffineForm::default() }
     }
 
     /// A period later, with a held; what is off becomes the symbol. None if nothing can be shown of it.
-    fn after(&self, a: &Form, period: &Period, symbol: usize) -> Option<(Self, Meanwhile)> {
+    fn advance(&self, a: &AffineForm, period: &PeriodCoefficients, symbol: usize) -> Option<(Self, PeriodBounds)> {
         let at = Interval::point;
         let (before, drag) = (self.speed.range(), Interval::ONE.over(at(10_000.0)));
-        let tried = before + Interval::around_zero(TRIED_MPS);
+        let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);
         let drive = at(2.0) * a.range() - drag * tried.sqr();
         let gamma = self.gamma.range().hull(drive * at(0.5));
         let since = period.time.hull(Interval::ZERO) * gamma;
@@ -179,41 +179,41 @@ impl Car {
         let changed = since * (within + before);
         let mut w = a.scaled(at(2.0)).minus(&self.speed.times(&self.speed).scaled(drag));
         w.shift(-(drag * changed));
-        let w = w.settled(symbol);
+        let w = w.with_rest_as_symbol(symbol);
         let mut after = self.clone();
-        after.way.add(&self.speed, period.time);
-        after.way.add(&self.gamma, period.half_of_speed);
-        after.way.add(&w, period.of_way);
-        after.speed.add(&self.gamma, period.of_speed);
-        after.speed.add(&w, period.half_of_speed);
+        after.distance.add_scaled(&self.speed, period.time);
+        after.distance.add_scaled(&self.gamma, period.second_decay_integral);
+        after.distance.add_scaled(&w, period.third_decay_integral);
+        after.speed.add_scaled(&self.gamma, period.decay_integral);
+        after.speed.add_scaled(&w, period.second_decay_integral);
         after.gamma = self.gamma.scaled(period.decay);
-        after.gamma.add(&w, period.of_speed);
-        Some((after, Meanwhile { gamma, drive }))
+        after.gamma.add_scaled(&w, period.decay_integral);
+        Some((after, PeriodBounds { gamma, forcing: drive }))
     }
 }
 
 /// Bounds of what a network does in the benchmark.
 ///
 /// # Errors
-/// [`Unshown`] if it is not a network for it, or bounds become too wide.
-pub fn bounds(actor: &Actor, cells: u32) -> Result<Found, Unshown> {
-    bounds_within(actor, cells, &Work::within(WorkLimit::NONE))
+/// [`CruiseBoundsError`] if it is not a network for it, or bounds become too wide.
+pub fn compute_bounds(actor: &NeuralController, cells: u32) -> Result<CruiseBounds, CruiseBoundsError> {
+    compute_bounds_with_budget(actor, cells, &OpBudget::new(WorkLimit::UNLIMITED))
 }
 
-fn bounds_within(actor: &Actor, cells: u32, work: &Work) -> Result<Found, Unshown> {
-    let is_plain = actor.answer == 0 && actor.scale_mps2 == 1.0 && actor.offset_mps2 == 0.0;
-    let is_plain = is_plain && actor.departs_from.is_none();
-    let is_uncut = !actor.is_cut || actor.action_mps2 == [-FARTHEST, FARTHEST];
-    if actor.inputs != inputs() || !is_plain || !is_uncut || actor.decision_interval_s != PERIOD_S {
-        return Err(Unshown::OtherInputs);
+fn compute_bounds_with_budget(actor: &NeuralController, cells: u32, work: &OpBudget) -> Result<CruiseBounds, CruiseBoundsError> {
+    let is_plain = actor.output_index == 0 && actor.scale_mps2 == 1.0 && actor.offset_mps2 == 0.0;
+    let is_plain = is_plain && actor.residual_over.is_none();
+    let is_uncut = !actor.is_clipped || actor.action_bounds_mps2 == [-CLIP_LIMIT, CLIP_LIMIT];
+    if actor.inputs != expected_inputs() || !is_plain || !is_uncut || actor.decision_interval_s != PERIOD_S {
+        return Err(CruiseBoundsError::ProblemMismatch);
     }
-    let [[lead, lead_end], _, [ego, ego_end], _] = STARTS;
+    let [[lead, lead_end], _, [ego, ego_end], _] = INITIAL_SET;
     let (nearest, farthest) = (lead - ego_end, lead_end - ego);
     let end = |cell: u32| nearest + (farthest - nearest) * (f64::from(cell) / f64::from(cells));
-    let mut found = Found { margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
+    let mut found = CruiseBounds { margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
     for cell in 0..cells {
-        let distance = Interval::new(end(cell), end(cell + 1)).ok_or(Unshown::TooWide(0.0))?;
-        let of_cell = driven(actor, distance, work)?;
+        let distance = Interval::new(end(cell), end(cell + 1)).ok_or(CruiseBoundsError::TooWide(0.0))?;
+        let of_cell = bound_cell(actor, distance, work)?;
         found.margin_m = found.margin_m.min(of_cell.margin_m);
         let ([low, high], [cell_low, cell_high]) = (found.x_ego_m, of_cell.x_ego_m);
         found.x_ego_m = [low.min(cell_low), high.max(cell_high)];
@@ -222,66 +222,66 @@ fn bounds_within(actor: &Actor, cells: u32, work: &Work) -> Result<Found, Unshow
 }
 
 /// The same from where D_rel lies in an interval.
-fn driven(actor: &Actor, distance: Interval, work: &Work) -> Result<Found, Unshown> {
+fn bound_cell(actor: &NeuralController, distance: Interval, work: &OpBudget) -> Result<CruiseBounds, CruiseBoundsError> {
     let at = Interval::point;
     let start =
-        |symbol: usize, [low, high]: [f64; 2]| Form::symbol(symbol, Interval::new(low, high).unwrap_or(Interval::LINE));
-    let [_, v_lead, x_ego, v_ego] = STARTS;
-    let distance = Form::symbol(0, distance);
-    let (mut lead, mut ego) = (Car::starting(start(1, v_lead)), Car::starting(start(2, v_ego)));
-    let (period, lead_mps2) = (Period::new(), Form::constant(at(LEAD_MPS2)));
-    let [kept_m, kept_s] = KEPT.map(at);
+        |symbol: usize, [low, high]: [f64; 2]| AffineForm::symbol(symbol, Interval::new(low, high).unwrap_or(Interval::ENTIRE));
+    let [_, v_lead, x_ego, v_ego] = INITIAL_SET;
+    let distance = AffineForm::symbol(0, distance);
+    let (mut lead, mut ego) = (CarState::from_speed(start(1, v_lead)), CarState::from_speed(start(2, v_ego)));
+    let (period, lead_mps2) = (PeriodCoefficients::new(), AffineForm::constant(at(LEAD_ACCEL_MPS2)));
+    let [kept_m, kept_s] = SAFE_DISTANCE.map(at);
     // 1.4 and 0.0001 are not floating-point numbers: the true ones lie between the neighbours of the nearest.
     let kept_s = kept_s + Interval::around_zero(f64::EPSILON);
     let eighth = period.time.sqr() * at(0.125);
-    let margin = |distance: &Form, speed: &Form| {
+    let margin = |distance: &AffineForm, speed: &AffineForm| {
         let mut margin = distance.clone();
-        margin.add(speed, -kept_s);
+        margin.add_scaled(speed, -kept_s);
         margin.shift(-kept_m);
         margin.range()
     };
-    let relative = |lead: &Car, ego: &Car| distance.clone().plus(&lead.way).minus(&ego.way);
+    let relative = |lead: &CarState, ego: &CarState| distance.clone().plus(&lead.distance).minus(&ego.distance);
     let mut seen_m = relative(&lead, &ego);
     let mut least = margin(&seen_m, &ego.speed);
     let mut margin_m = least.low();
     for index in 0..PERIODS {
-        let too_wide = || Unshown::TooWide(index as f64 * PERIOD_S);
-        if !work.may_do(BESIDES) {
+        let too_wide = || CruiseBoundsError::TooWide(index as f64 * PERIOD_S);
+        if !work.charge(OPS_PER_PERIOD) {
             return Err(too_wide());
         }
-        let nothing = Form::default;
+        let nothing = AffineForm::default;
         let seen =
             [seen_m, nothing(), lead.speed.clone(), ego.speed.clone(), nothing(), nothing(), nothing(), nothing()];
-        let a = actor.decide_within(&seen, &[0.0; OBSERVED], false, work);
+        let a = actor.decide_with_budget(&seen, &[0.0; OBSERVATION_SIZE], false, work);
         let symbol = SHARED_SYMBOLS + 2 * index;
-        let (next_lead, of_lead) = lead.after(&lead_mps2, &period, symbol).ok_or_else(too_wide)?;
-        let (next_ego, of_ego) = ego.after(&a, &period, symbol + 1).ok_or_else(too_wide)?;
+        let (next_lead, of_lead) = lead.advance(&lead_mps2, &period, symbol).ok_or_else(too_wide)?;
+        let (next_ego, of_ego) = ego.advance(&a, &period, symbol + 1).ok_or_else(too_wide)?;
         (lead, ego) = (next_lead, next_ego);
         seen_m = relative(&lead, &ego);
         let now = margin(&seen_m, &ego.speed);
-        let bend = of_lead.gamma - of_ego.gamma - kept_s * (of_ego.drive - at(2.0) * of_ego.gamma);
+        let bend = of_lead.gamma - of_ego.gamma - kept_s * (of_ego.forcing - at(2.0) * of_ego.gamma);
         margin_m = margin_m.min((least.min(now) - bend.max(Interval::ZERO) * eighth).low());
         least = now;
     }
-    let mut end = ego.way;
-    end.shift(Interval::new(x_ego[0], x_ego[1]).unwrap_or(Interval::LINE));
+    let mut end = ego.distance;
+    end.shift(Interval::new(x_ego[0], x_ego[1]).unwrap_or(Interval::ENTIRE));
     let range = end.range();
     // Bounds of no numbers are comparable to nothing.
     if margin_m.is_finite() && range.low().is_finite() && range.high().is_finite() {
-        Ok(Found { margin_m, x_ego_m: [range.low(), range.high()] })
+        Ok(CruiseBounds { margin_m, x_ego_m: [range.low(), range.high()] })
     } else {
-        Err(Unshown::TooWide(PERIODS as f64 * PERIOD_S))
+        Err(CruiseBoundsError::TooWide(PERIODS as f64 * PERIOD_S))
     }
 }
 
-pub(crate) fn check(claim: &Cruise, file: Option<&[u8]>, work: &Work) -> Result<Accepted, Rejection> {
-    let actor = actor_of(file, &claim.policy_sha256, Some(&claim.source))?;
-    if !(1..=MOST_CELLS).contains(&claim.cells) {
+pub(crate) fn check(claim: &CruiseClaim, file: Option<&[u8]>, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+    let actor = load_controller(file, &claim.policy_sha256, Some(&claim.source))?;
+    if !(1..=MAX_CELLS).contains(&claim.cells) {
         return Err(Rejection::invalid("cells", "must be 1 to 10 000"));
     }
-    let found = bounds_within(&actor, claim.cells, work);
+    let found = compute_bounds_with_budget(&actor, claim.cells, work);
     // Where it was too much, nothing else is said.
-    work.spend(0)?;
+    work.charge_or_reject(0)?;
     let found = found.map_err(|unshown| Rejection::Policy { problem: unshown.to_string() })?;
     let is_shown = |stated: f64, margin: f64| stated.partial_cmp(&margin).is_some_and(std::cmp::Ordering::is_le);
     if !is_shown(claim.margin_m_at_least, found.margin_m) {
@@ -290,7 +290,7 @@ pub(crate) fn check(claim: &Cruise, file: Option<&[u8]>, work: &Work) -> Result<
     if !is_shown(found.x_ego_width_m(), claim.x_ego_width_m_at_most) {
         return Err(Rejection::invalid("x_ego_width_m_at_most", "is less than is proved"));
     }
-    Ok(Accepted::Cruise { margin_m: found.margin_m, x_ego_width_m: found.x_ego_width_m() })
+    Ok(ProvedClaim::Cruise { margin_m: found.margin_m, x_ego_width_m: found.x_ego_width_m() })
 }
 
 #[cfg(test)]

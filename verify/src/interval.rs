@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 /// All real numbers from `low` to `high`. In a file a plain number, or `{"low": …, "high": …}`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[serde(into = "Written")]
+#[serde(into = "IntervalRepr")]
 pub struct Interval {
     low: f64,
     high: f64,
@@ -25,7 +25,7 @@ impl Interval {
     /// Exactly one.
     pub(crate) const ONE: Self = Self { low: 1.0, high: 1.0 };
     /// The whole line.
-    pub(crate) const LINE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
+    pub(crate) const ENTIRE: Self = Self { low: f64::NEG_INFINITY, high: f64::INFINITY };
 
     /// The numbers from `low` to `high`; none unless both are finite and in order.
     #[must_use]
@@ -36,13 +36,13 @@ impl Interval {
     /// One number; the whole line if it is not finite.
     #[must_use]
     pub fn point(value: f64) -> Self {
-        Self::new(value, value).unwrap_or(Self::LINE)
+        Self::new(value, value).unwrap_or(Self::ENTIRE)
     }
 
     /// The numbers from -`radius` to `radius`; the whole line unless `radius` is a finite number that is not negative.
     #[must_use]
     pub(crate) fn around_zero(radius: f64) -> Self {
-        Self::new(-radius, radius).unwrap_or(Self::LINE)
+        Self::new(-radius, radius).unwrap_or(Self::ENTIRE)
     }
 
     /// A number near the middle, and a bound of every member's distance from it.
@@ -77,14 +77,14 @@ impl Interval {
     }
 
     /// The ends of a result that were rounded to nearest, moved outwards. A NaN is in neither order and gives the line.
-    fn outward(low: f64, high: f64) -> Self {
-        if low <= high { Self { low: low.next_down(), high: high.next_up() } } else { Self::LINE }
+    fn round_outward(low: f64, high: f64) -> Self {
+        if low <= high { Self { low: low.next_down(), high: high.next_up() } } else { Self::ENTIRE }
     }
 
     /// The quotient; the whole line if the divisor may be zero.
     #[must_use]
     pub fn over(self, divisor: Self) -> Self {
-        if divisor.contains(0.0) { Self::LINE } else { self.corners(divisor, |a, b| a / b) }
+        if divisor.contains(0.0) { Self::ENTIRE } else { self.apply_at_corners(divisor, |a, b| a / b) }
     }
 
     /// The square: not the product of two independent members, so never negative.
@@ -92,15 +92,15 @@ impl Interval {
     pub fn sqr(self) -> Self {
         let (a, b) = (self.low.abs(), self.high.abs());
         let nearest = if self.contains(0.0) { 0.0 } else { a.min(b) };
-        let square = Self::outward(nearest * nearest, a.max(b) * a.max(b));
+        let square = Self::round_outward(nearest * nearest, a.max(b) * a.max(b));
         Self { low: square.low.max(0.0), ..square }
     }
 
     /// The square root of its members that are not negative; the whole line if there is none.
     #[must_use]
     pub fn sqrt(self) -> Self {
-        let root = Self::outward(self.low.max(0.0).sqrt(), self.high.sqrt());
-        if self.high < 0.0 { Self::LINE } else { Self { low: root.low.max(0.0), ..root } }
+        let root = Self::round_outward(self.low.max(0.0).sqrt(), self.high.sqrt());
+        if self.high < 0.0 { Self::ENTIRE } else { Self { low: root.low.max(0.0), ..root } }
     }
 
     /// The smaller of a member of each.
@@ -122,14 +122,14 @@ impl Interval {
     }
 
     /// An operation that takes its extremes at the ends of both operands.
-    fn corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
+    fn apply_at_corners(self, other: Self, operation: impl Fn(f64, f64) -> f64) -> Self {
         let [a, b] = [operation(self.low, other.low), operation(self.low, other.high)];
         let [c, d] = [operation(self.high, other.low), operation(self.high, other.high)];
         // The sum is a NaN if one of them is, and nothing is lost if it is one for opposite infinities.
         if (a + b + c + d).is_nan() {
-            Self::LINE
+            Self::ENTIRE
         } else {
-            Self::outward(a.min(b).min(c.min(d)), a.max(b).max(c.max(d)))
+            Self::round_outward(a.min(b).min(c.min(d)), a.max(b).max(c.max(d)))
         }
     }
 }
@@ -138,7 +138,7 @@ impl Add for Interval {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        Self::outward(self.low + other.low, self.high + other.high)
+        Self::round_outward(self.low + other.low, self.high + other.high)
     }
 }
 
@@ -168,41 +168,41 @@ impl Mul for Interval {
     type Output = Self;
 
     fn mul(self, other: Self) -> Self {
-        self.corners(other, |a, b| a * b)
+        self.apply_at_corners(other, |a, b| a * b)
     }
 }
 
 /// An interval as a file states it.
 #[derive(Serialize)]
 #[serde(untagged)]
-enum Written {
+enum IntervalRepr {
     Number(f64),
-    Ends(Ends),
+    Ends(IntervalEnds),
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Ends {
+struct IntervalEnds {
     low: f64,
     high: f64,
 }
 
-impl From<Interval> for Written {
+impl From<Interval> for IntervalRepr {
     fn from(Interval { low, high }: Interval) -> Self {
-        if low == high { Self::Number(low) } else { Self::Ends(Ends { low, high }) }
+        if low == high { Self::Number(low) } else { Self::Ends(IntervalEnds { low, high }) }
     }
 }
 
 // By hand, since an untagged enumeration keeps whatever it finds in memory before it looks at it.
 impl<'de> Deserialize<'de> for Interval {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_any(Reader)
+        from.deserialize_any(IntervalVisitor)
     }
 }
 
-struct Reader;
+struct IntervalVisitor;
 
-impl<'de> Visitor<'de> for Reader {
+impl<'de> Visitor<'de> for IntervalVisitor {
     type Value = Interval;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -222,7 +222,7 @@ impl<'de> Visitor<'de> for Reader {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, fields: A) -> Result<Interval, A::Error> {
-        let Ends { low, high } = Ends::deserialize(MapAccessDeserializer::new(fields))?;
+        let IntervalEnds { low, high } = IntervalEnds::deserialize(MapAccessDeserializer::new(fields))?;
         from_ends(low, high)
     }
 }

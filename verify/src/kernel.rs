@@ -49,18 +49,18 @@ use num_traits::Signed;
 use serde::{Deserialize, Serialize};
 
 use crate::polynomial::Polynomial;
-use crate::work::Work;
-use crate::{Accepted, Rejection};
+use crate::work::OpBudget;
+use crate::{ProvedClaim, Rejection};
 
 /// What it takes for the longest numbers: the polynomials are always the same ones.
-const OPERATIONS: u64 = 50_000_000;
+const OPS_PER_CHECK: u64 = 50_000_000;
 /// Longest number that is read, in characters.
-const MOST_CHARACTERS: usize = 100;
+const MAX_NUMBER_CHARS: usize = 100;
 
 /// A kernel for one pair of brake limits. Numbers are exact quotients: `"15/2"` or `"6"`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Kernel {
+pub struct KernelClaim {
     /// b, what the own vehicle can brake at, in m/s².
     pub ego_brake_mps2: String,
     /// c, what the vehicle ahead never brakes harder than, in m/s².
@@ -82,9 +82,9 @@ pub struct Kernel {
 ///
 /// # Errors
 /// [`Rejection`] names the field that is no number or not positive, or the first case in which the proof fails.
-pub(crate) fn check(kernel: &Kernel, work: &Work) -> Result<Accepted, Rejection> {
-    work.spend(OPERATIONS)?;
-    let positive = |field, text| match number(field, text)? {
+pub(crate) fn check(kernel: &KernelClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+    work.charge_or_reject(OPS_PER_CHECK)?;
+    let positive = |field, text| match parse_rational(field, text)? {
         value if value.is_positive() => Ok(value),
         _ => Err(Rejection::invalid(field, "must be positive")),
     };
@@ -92,103 +92,103 @@ pub(crate) fn check(kernel: &Kernel, work: &Work) -> Result<Accepted, Rejection>
     let c = positive("leader_brake_mps2", &kernel.leader_brake_mps2)?;
     positive("step_s", &kernel.step_s)?;
     positive("margin_m", &kernel.margin_m)?;
-    let p = number("stopping_own_squared", &kernel.stopping_own_squared)?;
-    let q = number("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
-    let r = kernel.catching_up_squared.as_ref().map(|text| number("catching_up_squared", text)).transpose()?;
-    let pair = Pair { b: &b, c: &c, stopping: [&p, &q] };
+    let p = parse_rational("stopping_own_squared", &kernel.stopping_own_squared)?;
+    let q = parse_rational("stopping_ahead_squared", &kernel.stopping_ahead_squared)?;
+    let r = kernel.catching_up_squared.as_ref().map(|text| parse_rational("catching_up_squared", text)).transpose()?;
+    let pair = BrakeLimits { b: &b, c: &c, stopping_coefficients: [&p, &q] };
     let cases = match (r, b > c) {
-        (Some(r), true) => [&pair.stops_last()[..], &[pair.brakes_harder()], &pair.catches_up(&r)].concat(),
-        (None, false) => [&pair.stops_last()[..], &pair.brakes_softer()].concat(),
+        (Some(r), true) => [&pair.last_stop_cases()[..], &[pair.harder_braking_case()], &pair.catching_up_cases(&r)].concat(),
+        (None, false) => [&pair.last_stop_cases()[..], &pair.softer_braking_cases()].concat(),
         _ => return Err(Rejection::invalid("catching_up_squared", "must be there exactly where b > c")),
     };
     match cases.into_iter().find(|case| !case.holds()) {
-        Some(case) => Err(Rejection::invalid("kernel", case.fails_where)),
-        None => Ok(Accepted::Kernel),
+        Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
+        None => Ok(ProvedClaim::Kernel),
     }
 }
 
-fn number(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
-    let read = if text.len() > MOST_CHARACTERS { None } else { text.parse().ok() };
+fn parse_rational(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
+    let read = if text.len() > MAX_NUMBER_CHARS { None } else { text.parse().ok() };
     read.ok_or_else(|| Rejection::invalid(field, "must be a number such as \"15/2\""))
 }
 
 /// One case of who moves and who stands: what must hold of a polynomial in x, y, z >= 0 for the closed form to be right there.
 #[derive(Debug, Clone)]
-struct Case {
+struct ProofCase {
     /// What is said if it does not hold.
-    fails_where: &'static str,
+    failure_message: &'static str,
     polynomial: Polynomial,
     /// Whether it has to be zero; otherwise it only must not be negative.
-    vanishes: bool,
+    must_be_zero: bool,
 }
 
-impl Case {
+impl ProofCase {
     fn zero(fails_where: &'static str, polynomial: Polynomial) -> Self {
-        Self { fails_where, polynomial, vanishes: true }
+        Self { failure_message: fails_where, polynomial, must_be_zero: true }
     }
 
     fn nonnegative(fails_where: &'static str, polynomial: Polynomial) -> Self {
-        Self { fails_where, polynomial, vanishes: false }
+        Self { failure_message: fails_where, polynomial, must_be_zero: false }
     }
 
     fn holds(&self) -> bool {
-        if self.vanishes { self.polynomial.is_zero() } else { self.polynomial.has_no_negative_coefficient() }
+        if self.must_be_zero { self.polynomial.is_zero() } else { self.polynomial.has_no_negative_coefficient() }
     }
 }
 
 /// The two limits, and the polynomials they make. `a` and `b` are times to standstill, `t` an instant.
-struct Pair<'a> {
+struct BrakeLimits<'a> {
     b: &'a BigRational,
     c: &'a BigRational,
     /// p and q.
-    stopping: [&'a BigRational; 2],
+    stopping_coefficients: [&'a BigRational; 2],
 }
 
-impl Pair<'_> {
+impl BrakeLimits<'_> {
     /// What is covered up to t while braking at `rate` with `stop` to go: rate (stop t - t²/2).
-    fn moving(rate: &BigRational, stop: &Polynomial, t: &Polynomial) -> Polynomial {
+    fn distance_covered(rate: &BigRational, stop: &Polynomial, t: &Polynomial) -> Polynomial {
         let half = BigRational::new(1.into(), 2.into());
         rate * &(&(stop * t) - &(&half * &t.squared()))
     }
 
     /// closing(t) while both move: b (A t - t²/2) - c (B t - t²/2). A vehicle that stands has t = its own stop.
-    fn closing(&self, [a, ta]: [&Polynomial; 2], [b, tb]: [&Polynomial; 2]) -> Polynomial {
-        &Self::moving(self.b, a, ta) - &Self::moving(self.c, b, tb)
+    fn closing_distance(&self, [a, ta]: [&Polynomial; 2], [b, tb]: [&Polynomial; 2]) -> Polynomial {
+        &Self::distance_covered(self.b, a, ta) - &Self::distance_covered(self.c, b, tb)
     }
 
     /// S = p v² + q w² with v = b A and w = c B.
     fn difference_of_stops(&self, a: &Polynomial, b: &Polynomial) -> Polynomial {
         let (v, w) = (self.b * a, self.c * b);
-        &(self.stopping[0] * &v.squared()) + &(self.stopping[1] * &w.squared())
+        &(self.stopping_coefficients[0] * &v.squared()) + &(self.stopping_coefficients[1] * &w.squared())
     }
 
     /// S is what closing comes to in the end, and bounds it from the leader's stop on; A and B in any order.
-    fn stops_last(&self) -> [Case; 2] {
+    fn last_stop_cases(&self) -> [ProofCase; 2] {
         let [x, y, z] = Polynomial::variables();
         let s_of = |a: &Polynomial, b: &Polynomial| self.difference_of_stops(a, b);
         // Both stand: A = x, B = y. Where S >= 0 this is also the instant at which D = S is reached; else D = 0 at t = 0.
-        let both_stand = &s_of(&x, &y) - &self.closing([&x, &x], [&y, &y]);
+        let both_stand = &s_of(&x, &y) - &self.closing_distance([&x, &x], [&y, &y]);
         // Only the leader stands: B = x, t = x + y, A = x + y + z.
         let (t, a) = (&x + &y, &(&x + &y) + &z);
-        let leader_stands = &s_of(&a, &x) - &self.closing([&a, &t], [&x, &x]);
+        let leader_stands = &s_of(&a, &x) - &self.closing_distance([&a, &t], [&x, &x]);
         [
-            Case::zero("fails where both stand", both_stand),
-            Case::nonnegative("fails where only the vehicle ahead stands", leader_stands),
+            ProofCase::zero("fails where both stand", both_stand),
+            ProofCase::nonnegative("fails where only the vehicle ahead stands", leader_stands),
         ]
     }
 
     /// b > c, and the own vehicle stops last: S also bounds what comes before the leader's stop.
-    fn brakes_harder(&self) -> Case {
+    fn harder_braking_case(&self) -> ProofCase {
         let [x, y, z] = Polynomial::variables();
         // t = x, B = x + y, A = x + y + z: what is still to come is never negative.
         let (b, a) = (&x + &y, &(&x + &y) + &z);
-        let at_end = self.closing([&a, &a], [&b, &b]);
-        let to_come = &at_end - &self.closing([&a, &x], [&b, &x]);
-        Case::nonnegative("fails where both move, the own vehicle brakes harder and stops last", to_come)
+        let at_end = self.closing_distance([&a, &a], [&b, &b]);
+        let to_come = &at_end - &self.closing_distance([&a, &x], [&b, &x]);
+        ProofCase::nonnegative("fails where both move, the own vehicle brakes harder and stops last", to_come)
     }
 
     /// b > c, and the own vehicle stops first: D = r (v - w)² where v > w, else 0.
-    fn catches_up(&self, r: &BigRational) -> [Case; 4] {
+    fn catching_up_cases(&self, r: &BigRational) -> [ProofCase; 4] {
         let [x, y, z] = Polynomial::variables();
         let harder = self.b - self.c;
         let half_harder = &harder / BigRational::from_integer(2.into());
@@ -197,41 +197,41 @@ impl Pair<'_> {
         let (v, w) = (self.b * a, self.c * b);
         let demanded = r * &(&v - &w).squared();
         let turn = &harder.recip() * &(&v - &w);
-        let short_by = &demanded - &self.closing([a, t], [b, t]);
+        let short_by = &demanded - &self.closing_distance([a, t], [b, t]);
         let both_move = &short_by - &(&half_harder * &(t - &turn).squared());
         // The square is 0 at t = t*, so D is reached there, if 0 <= t* <= A: with A = x and B = x + y the latter is
         let before_stop = &x - &(&harder.recip() * &(&(self.b * &x) - &(self.c * &(&x + &y))));
         // Where w = v + z, closing is never positive before the own stop: A = x, t = y, c B = b x + z.
         let ahead = &self.c.recip() * &(&(self.b * &x) + &z);
-        let falling_back = -&self.closing([&x, &y], [&ahead, &y]);
+        let falling_back = -&self.closing_distance([&x, &y], [&ahead, &y]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z. Closing has not grown since its stop.
         let (t, b) = (&x + &y, &(&x + &y) + &z);
-        let since_stop = &self.closing([&x, &x], [&b, &x]) - &self.closing([&x, &x], [&b, &t]);
+        let since_stop = &self.closing_distance([&x, &x], [&b, &x]) - &self.closing_distance([&x, &x], [&b, &t]);
         [
-            Case::zero("fails where both move, the own vehicle brakes harder and stops first", both_move),
-            Case::nonnegative("fails where closing turns round after the own stop", before_stop),
-            Case::nonnegative("fails where the own vehicle is slower", falling_back),
-            Case::nonnegative("fails where only the own vehicle stands, having braked harder", since_stop),
+            ProofCase::zero("fails where both move, the own vehicle brakes harder and stops first", both_move),
+            ProofCase::nonnegative("fails where closing turns round after the own stop", before_stop),
+            ProofCase::nonnegative("fails where the own vehicle is slower", falling_back),
+            ProofCase::nonnegative("fails where only the own vehicle stands, having braked harder", since_stop),
         ]
     }
 
     /// b <= c: D = max(0, S), whoever stops first.
-    fn brakes_softer(&self) -> [Case; 4] {
+    fn softer_braking_cases(&self) -> [ProofCase; 4] {
         let [x, y, z] = Polynomial::variables();
         // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >= 0.
         let (b, a) = (&x + &y, &(&x + &y) + &z);
-        let stop_ahead = &(&x * &self.difference_of_stops(&a, &b)) - &(&b * &self.closing([&a, &x], [&b, &x]));
+        let stop_ahead = &(&x * &self.difference_of_stops(&a, &b)) - &(&b * &self.closing_distance([&a, &x], [&b, &x]));
         // The own vehicle stops first: closing <= 0 throughout. Both move: t = x, A = x + y, B = x + y + z.
-        let both_move = -&self.closing([&b, &x], [&a, &x]);
+        let both_move = -&self.closing_distance([&b, &x], [&a, &x]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z.
-        let own_stands = -&self.closing([&x, &x], [&a, &b]);
+        let own_stands = -&self.closing_distance([&x, &x], [&a, &b]);
         // Both stand: A = x, B = x + y.
-        let both_stand = -&self.closing([&x, &x], [&b, &b]);
+        let both_stand = -&self.closing_distance([&x, &x], [&b, &b]);
         [
-            Case::nonnegative("fails where both move, the own vehicle stops last", stop_ahead),
-            Case::nonnegative("fails where both move, the own vehicle stops first", both_move),
-            Case::nonnegative("fails where only the own vehicle stands", own_stands),
-            Case::nonnegative("fails where both stand, the own vehicle stopped first", both_stand),
+            ProofCase::nonnegative("fails where both move, the own vehicle stops last", stop_ahead),
+            ProofCase::nonnegative("fails where both move, the own vehicle stops first", both_move),
+            ProofCase::nonnegative("fails where only the own vehicle stands", own_stands),
+            ProofCase::nonnegative("fails where both stand, the own vehicle stopped first", both_stand),
         ]
     }
 }

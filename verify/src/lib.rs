@@ -78,30 +78,30 @@ pub mod unavoidable;
 pub mod work;
 
 pub use certificate::{
-    Assumption, Avoidable, Branch, Certificate, GapBound, ParseError, Provenance, Rows, Statement, Unavoidable,
+    Assumption, AvoidableClaim, Branch, Certificate, GapBoundClaim, CertificateParseError, CertificateProvenance, MultiplierRows, Statement, UnavoidableClaim,
 };
-pub use claim::{Ego, Follower, Held, Leader, Scene};
-pub use cruise::Cruise;
+pub use claim::{SceneEgo, SceneFollower, ConstantPiece, SceneLeader, Scene};
+pub use acc_benchmark::CruiseClaim;
 pub use interval::Interval;
-pub use kernel::Kernel;
-pub use rate::{Comparison, Rate, Registration};
-pub use reach::Reach;
+pub use kernel::KernelClaim;
+pub use rate::{ComparisonClaim, RateClaim, Registration};
+pub use reach::ReachClaim;
 pub use scope::Scope;
-use work::Work;
+use work::OpBudget;
 pub use work::WorkLimit;
 
 /// What has been proved.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub enum Accepted {
+pub enum ProvedClaim {
     /// With the stated profile nobody touches.
     Avoidable {
         /// No gap is ever smaller, in metres...
-        smallest_gap_m: f64,
+        min_gap_m: f64,
         /// ... within this time from the start, in seconds.
         horizon_s: f64,
         /// What holds after that.
-        afterwards: Afterwards,
+        after_horizon: SafetyAfterHorizon,
     },
     /// Whatever the egos do, somebody touches.
     Unavoidable {
@@ -122,7 +122,7 @@ pub enum Accepted {
     /// A failure rate is bounded.
     Rate {
         /// The bound.
-        at_most: f64,
+        max_rate: f64,
         /// Its confidence.
         confidence: f64,
     },
@@ -138,7 +138,7 @@ pub enum Accepted {
         /// Share of the cells of which a member is known to touch.
         falsified_share: f64,
         /// No gap is ever smaller in the verified ones, in metres...
-        smallest_gap_m: f64,
+        min_gap_m: f64,
         /// ... within this time from the start, in seconds.
         horizon_s: f64,
         /// Whether somebody drives behind.
@@ -146,7 +146,7 @@ pub enum Accepted {
         /// The limit within which the leader brakes as it likes, in m/s²; none if it brakes as scripted.
         leader_brakes_at_most_mps2: Option<f64>,
         /// The law from which the policy departs, if it does.
-        departs_from: Option<reach::Departure>,
+        residual_over: Option<reach::ResidualPolicy>,
     },
     /// From every start of the benchmark of adaptive cruise control the distance is kept.
     Cruise {
@@ -160,41 +160,41 @@ pub enum Accepted {
 /// What holds once the stated profile has ended without contact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Afterwards {
+pub enum SafetyAfterHorizon {
     /// Everybody behind the leader can stop within the gap ahead: nobody need ever touch, whatever the leader does.
-    WhateverTheLeaderDoes,
+    ForAnyLeader,
     /// Everybody behind the leader can slow down to the slowest ahead: nobody need ever touch if the leader does not brake any more.
-    IfTheLeaderDoesNotBrake,
+    UnlessLeaderBrakes,
     /// Nothing is shown.
-    NotShown,
+    Unproved,
 }
 
-impl Afterwards {
+impl SafetyAfterHorizon {
     /// Its name in results.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Self::WhateverTheLeaderDoes => "whatever-the-leader-does",
-            Self::IfTheLeaderDoesNotBrake => "if-the-leader-does-not-brake",
-            Self::NotShown => "not-shown",
+            Self::ForAnyLeader => "whatever-the-leader-does",
+            Self::UnlessLeaderBrakes => "if-the-leader-does-not-brake",
+            Self::Unproved => "not-shown",
         }
     }
 }
 
-impl std::fmt::Display for Afterwards {
+impl std::fmt::Display for SafetyAfterHorizon {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Self::WhateverTheLeaderDoes => "and nobody need touch afterwards, whatever the leader does",
-            Self::IfTheLeaderDoesNotBrake => "and nobody need touch afterwards, if the leader does not brake any more",
-            Self::NotShown => "nothing is shown of what comes afterwards",
+            Self::ForAnyLeader => "and nobody need touch afterwards, whatever the leader does",
+            Self::UnlessLeaderBrakes => "and nobody need touch afterwards, if the leader does not brake any more",
+            Self::Unproved => "nothing is shown of what comes afterwards",
         })
     }
 }
 
-impl std::fmt::Display for Accepted {
+impl std::fmt::Display for ProvedClaim {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Avoidable { smallest_gap_m, horizon_s, afterwards } => write!(
+            Self::Avoidable { min_gap_m: smallest_gap_m, horizon_s, after_horizon: afterwards } => write!(
                 formatter,
                 "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s; {afterwards}"
             ),
@@ -208,7 +208,7 @@ impl std::fmt::Display for Accepted {
             ),
             Self::Kernel => formatter
                 .write_str("kernel: full braking keeps every state of it free of contact, and nothing any other"),
-            Self::Rate { at_most, confidence } => {
+            Self::Rate { max_rate: at_most, confidence } => {
                 write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
             }
             Self::FailsLessOften { confidence } => write!(
@@ -229,7 +229,7 @@ impl std::fmt::Display for Accepted {
             Self::Reach {
                 verified_share,
                 falsified_share,
-                smallest_gap_m,
+                min_gap_m: smallest_gap_m,
                 horizon_s,
                 has_follower,
                 leader_brakes_at_most_mps2: limit,
@@ -269,7 +269,7 @@ pub enum Rejection {
     #[error(
         "vehicle {front_vehicle} and the one behind it may touch in step {step}: only a gap of {gap_m} m is proved"
     )]
-    MayTouch {
+    MayCollide {
         /// The vehicle ahead, 0 for the leader.
         front_vehicle: usize,
         /// The step, 0 for the first.
@@ -278,12 +278,12 @@ pub enum Rejection {
         gap_m: f64,
     },
     /// The smallest gap is not proved to be as large as stated.
-    #[error("`min_gap_m_at_least` is {stated_m}, and only {smallest_gap_m} m is proved")]
-    SmallestGap {
+    #[error("`min_gap_m_at_least` is {stated_m}, and only {min_gap_m} m is proved")]
+    GapTooSmall {
         /// What is stated, in metres.
         stated_m: f64,
         /// What is proved, in metres.
-        smallest_gap_m: f64,
+        min_gap_m: f64,
     },
     /// The branches do not cover the firing instants one after the other.
     #[error("`branches[{branch}]` must begin where the one before ends, and end no later than instant N")]
@@ -323,21 +323,21 @@ pub enum Rejection {
     },
     /// Checking takes more work than is allowed: nothing is said for or against the claim.
     #[error("checking it takes more than {limit} operations, and no more are allowed")]
-    TooMuchWork {
+    BudgetExceeded {
         /// What is allowed.
         limit: WorkLimit,
     },
     /// What was observed is not rare enough where the claim is false.
     #[error(
         "what was observed, or better, may have probability {} if the claim is false, and {} is allowed",
-        scope::readable(*tail),
-        scope::readable(*allowed)
+        scope::format_number(*tail_probability),
+        scope::format_number(*max_tail_probability)
     )]
-    TooLikely {
+    NotSignificant {
         /// Upper bound of the probability.
-        tail: f64,
+        tail_probability: f64,
         /// 1 - confidence.
-        allowed: f64,
+        max_tail_probability: f64,
     },
 }
 
@@ -351,7 +351,7 @@ impl Rejection {
 ///
 /// # Errors
 /// [`Rejection`] if it does not prove what it states, or checking it takes more work than the default limit.
-pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
+pub fn check(certificate: &Certificate) -> Result<ProvedClaim, Rejection> {
     check_with(certificate, None, WorkLimit::default())
 }
 
@@ -359,14 +359,14 @@ pub fn check(certificate: &Certificate) -> Result<Accepted, Rejection> {
 ///
 /// # Errors
 /// [`Rejection`] if it does not prove what it states, or checking it takes more work than `limit`.
-pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<Accepted, Rejection> {
-    if !certificate.lists_its_assumptions() {
+pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkLimit) -> Result<ProvedClaim, Rejection> {
+    if !certificate.has_required_assumptions() {
         return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }
-    if !certificate.is_old() {
+    if !certificate.is_first_version() {
         binding::check(certificate)?;
     }
-    let work = &Work::within(limit);
+    let work = &OpBudget::new(limit);
     match &certificate.statement {
         Statement::Avoidable(claim) => avoidable::check(claim, work),
         Statement::Unavoidable(claim) => unavoidable::check(claim, work),
@@ -375,6 +375,6 @@ pub fn check_with(certificate: &Certificate, policy: Option<&[u8]>, limit: WorkL
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
         Statement::AdaptiveCruise(claim) => cruise::check(claim, policy, work),
-        Statement::Reach(claim) => reach::check(claim, policy, certificate.is_old(), work),
+        Statement::Reach(claim) => reach::check(claim, policy, certificate.is_first_version(), work),
     }
 }

@@ -30,7 +30,7 @@ fn main() -> ExitCode {
     }))
 }
 
-fn judge(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
+fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     let name = path.display();
     let certificate = match File::open(path).map_err(ParseError::from).and_then(Certificate::from_reader) {
         Ok(certificate) => certificate,
@@ -42,7 +42,7 @@ fn judge(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     match check_with(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            println!("  {}", certificate.scope_of(&accepted).to_string().replace('\n', "\n  "));
+            println!("  {}", certificate.scope_with_result(&accepted).to_string().replace('\n', "\n  "));
             println!("  version {}, SHA-256 of its canonical form {}", certificate.version, certificate.digest());
             if let Some(caveat) = certificate.caveat() {
                 println!("  {caveat}");

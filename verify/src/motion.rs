@@ -15,19 +15,19 @@
 //!
 //! Firing later never moves the follower back, for the same reason: its acceleration is nowhere less.
 
-use crate::claim::{Follower, Held, Scene};
+use crate::claim::{SceneFollower, ConstantPiece, Scene};
 use crate::interval::Interval;
 
 /// Distance covered in metres, and speed in m/s, after `time_s` seconds at a held acceleration. Speeds and times are not
 /// negative.
 #[must_use]
-pub fn after(speed_mps: Interval, acceleration_mps2: Interval, time_s: Interval) -> (Interval, Interval) {
-    let (least_m, least_mps) = corner(speed_mps.low(), acceleration_mps2.low(), time_s);
-    let (most_m, most_mps) = corner(speed_mps.high(), acceleration_mps2.high(), time_s);
+pub fn distance_and_speed_after(speed_mps: Interval, acceleration_mps2: Interval, time_s: Interval) -> (Interval, Interval) {
+    let (least_m, least_mps) = corner_distance_and_speed(speed_mps.low(), acceleration_mps2.low(), time_s);
+    let (most_m, most_mps) = corner_distance_and_speed(speed_mps.high(), acceleration_mps2.high(), time_s);
     (least_m.hull(most_m), least_mps.hull(most_mps))
 }
 
-fn corner(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
+fn corner_distance_and_speed(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
     let (v, a) = (Interval::point(v), Interval::point(a));
     let end = v + a * t;
     let moving = || v * t + a * t.sqr() * Interval::point(0.5);
@@ -42,8 +42,8 @@ fn corner(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
 }
 
 /// The value of every step.
-pub(crate) fn expand<T: Copy>(held: &[Held<T>]) -> impl Iterator<Item = T> {
-    held.iter().flat_map(|&Held(steps, value)| std::iter::repeat_n(value, steps as usize))
+pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
+    held.iter().flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
 }
 
 impl Scene {
@@ -58,8 +58,8 @@ impl Scene {
     pub fn leader_rear_m(&self) -> Vec<Interval> {
         let rear_m = self.leader.position_m - Interval::point(self.leader.length_m);
         let step_s = Interval::point(self.step_s);
-        let moves = expand(&self.leader.acceleration_mps2).scan((rear_m, self.leader.speed_mps), |(x, v), a| {
-            let (covered_m, speed_mps) = after(*v, a, step_s);
+        let moves = expand_pieces(&self.leader.acceleration_mps2).scan((rear_m, self.leader.speed_mps), |(x, v), a| {
+            let (covered_m, speed_mps) = distance_and_speed_after(*v, a, step_s);
             (*x, *v) = (*x + covered_m, speed_mps);
             Some(*x)
         });
@@ -68,19 +68,19 @@ impl Scene {
 
     /// The follower's front bumper in metres at instant `k`, at most N, if its brake fires at instant `fires`; N means never.
     #[must_use]
-    pub fn follower_m(&self, follower: &Follower, fires: u32, k: u32) -> Interval {
+    pub fn follower_position_m(&self, follower: &SceneFollower, fires: u32, k: u32) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
         let coasting_m = follower.position_m + follower.speed_mps * self.time_s(coasts);
         if coasts == k {
             return coasting_m;
         }
-        coasting_m + after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
+        coasting_m + distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).0
     }
 
     /// The follower's speed in m/s there.
-    pub(crate) fn follower_mps(&self, follower: &Follower, fires: u32, k: u32) -> Interval {
+    pub(crate) fn follower_speed_mps(&self, follower: &SceneFollower, fires: u32, k: u32) -> Interval {
         let coasts = k.min(fires.saturating_add(follower.reaction_steps));
-        after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
+        distance_and_speed_after(follower.speed_mps, -follower.brake_mps2, self.time_s(k - coasts)).1
     }
 }
 

@@ -38,7 +38,7 @@ impl Polynomial {
 
     /// Its value at a point.
     #[cfg(test)]
-    pub(crate) fn at(&self, point: [&BigRational; 3]) -> BigRational {
+    pub(crate) fn evaluate(&self, point: [&BigRational; 3]) -> BigRational {
         let term = |(powers, coefficient): (&[u8; 3], &BigRational)| {
             let factors = powers.iter().zip(point).flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()));
             factors.fold(coefficient.clone(), |product, factor| product * factor)

@@ -24,29 +24,29 @@ use serde::{Deserialize, Serialize};
 
 use crate::bounded;
 use crate::canonical;
-use crate::work::Work;
-use crate::{Accepted, Rejection};
+use crate::work::OpBudget;
+use crate::{ProvedClaim, Rejection};
 
 /// Most runs a certificate may speak about.
-pub const MOST_RUNS: u64 = 1_000_000_000;
+pub const MAX_RUNS: u64 = 1_000_000_000;
 /// Up to so many runs, the tail is evaluated one factor after the other; with more, powers of the factor that is the same for all runs
 /// are taken together.
-const ONE_BY_ONE: u64 = 100_000_000;
+const MAX_FACTORWISE_RUNS: u64 = 100_000_000;
 
 /// Most blocks that they may come in.
-pub const MOST_BLOCKS: u64 = 10_000;
+pub const MAX_BLOCKS: u64 = 10_000;
 
 /// Most entries of a registered configuration.
-const MOST_ENTRIES: usize = 10_000;
+const MAX_ENTRIES: usize = 10_000;
 /// Operations for the factors and the term of one run.
-const A_RUN: u64 = 100;
+const OPS_PER_RUN: u64 = 100;
 
 /// What was fixed before the first run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registration {
     /// What was to be run: controllers, policy, space, seed, version. Nothing is concluded from it.
-    #[serde(deserialize_with = "bounded::map::<MOST_ENTRIES, _>")]
+    #[serde(deserialize_with = "bounded::deserialize_map::<MAX_ENTRIES, _>")]
     pub configuration: BTreeMap<String, String>,
     /// n, the number of runs.
     pub runs: u64,
@@ -58,7 +58,7 @@ pub struct Registration {
 }
 
 /// What a certificate holds of a block of runs: what was counted in it, and a hash that only who has made the runs can know.
-pub(crate) type Block<T> = (T, String);
+pub(crate) type CertifiedBlock<T> = (T, String);
 
 impl Registration {
     /// SHA-256 of the registration as compact JSON, fields in the order of this type, in hexadecimal.
@@ -72,7 +72,7 @@ impl Registration {
 /// The claim that a controller fails in a space at no more than a rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Rate {
+pub struct RateClaim {
     /// What was fixed before the first run.
     pub registration: Registration,
     /// Its digest, as it was published.
@@ -85,15 +85,15 @@ pub struct Rate {
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",
-        deserialize_with = "bounded::list::<{ MOST_BLOCKS as usize }, _, _>"
+        deserialize_with = "bounded::deserialize_list::<{ MAX_BLOCKS as usize }, _, _>"
     )]
-    pub blocks: Vec<Block<u64>>,
+    pub blocks: Vec<CertifiedBlock<u64>>,
 }
 
 /// The claim that the first of two controllers fails less often than the second, in the same draws.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Comparison {
+pub struct ComparisonClaim {
     /// What was fixed before the first run.
     pub registration: Registration,
     /// Its digest, as it was published.
@@ -107,12 +107,12 @@ pub struct Comparison {
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",
-        deserialize_with = "bounded::list::<{ MOST_BLOCKS as usize }, _, _>"
+        deserialize_with = "bounded::deserialize_list::<{ MAX_BLOCKS as usize }, _, _>"
     )]
-    pub blocks: Vec<Block<[u64; 2]>>,
+    pub blocks: Vec<CertifiedBlock<[u64; 2]>>,
 }
 
-pub(crate) fn check_rate(claim: &Rate, work: &Work) -> Result<Accepted, Rejection> {
+pub(crate) fn check_rate(claim: &RateClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     if claim.failures >= registration.runs {
@@ -121,28 +121,28 @@ pub(crate) fn check_rate(claim: &Rate, work: &Work) -> Result<Accepted, Rejectio
     if !(claim.rate_at_most > 0.0 && claim.rate_at_most < 1.0) {
         return Err(Rejection::invalid("rate_at_most", "must be between 0 and 1"));
     }
-    work.spend(registration.runs.saturating_mul(A_RUN))?;
-    check_rare(claim.failures, registration.runs, claim.rate_at_most, registration.confidence)?;
-    Ok(Accepted::Rate { at_most: claim.rate_at_most, confidence: registration.confidence })
+    work.charge_or_reject(registration.runs.saturating_mul(OPS_PER_RUN))?;
+    check_tail(claim.failures, registration.runs, claim.rate_at_most, registration.confidence)?;
+    Ok(ProvedClaim::Rate { max_rate: claim.rate_at_most, confidence: registration.confidence })
 }
 
-pub(crate) fn check_comparison(claim: &Comparison, work: &Work) -> Result<Accepted, Rejection> {
+pub(crate) fn check_comparison(claim: &ComparisonClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     let registration = &claim.registration;
     check_registration(registration, &claim.registration_sha256)?;
     let differ = claim.only_first_failed.saturating_add(claim.only_second_failed);
     if differ > registration.runs {
         return Err(Rejection::invalid("only_first_failed", "and `only_second_failed` must not exceed the runs"));
     }
-    work.spend(differ.saturating_mul(A_RUN))?;
-    check_rare(claim.only_first_failed, differ, 0.5, registration.confidence)?;
-    Ok(Accepted::FailsLessOften { confidence: registration.confidence })
+    work.charge_or_reject(differ.saturating_mul(OPS_PER_RUN))?;
+    check_tail(claim.only_first_failed, differ, 0.5, registration.confidence)?;
+    Ok(ProvedClaim::FailsLessOften { confidence: registration.confidence })
 }
 
 fn check_registration(registration: &Registration, published: &str) -> Result<(), Rejection> {
     if registration.digest() != published {
         return Err(Rejection::invalid("registration_sha256", "is not the digest of `registration`"));
     }
-    if !(1..=MOST_RUNS).contains(&registration.runs) {
+    if !(1..=MAX_RUNS).contains(&registration.runs) {
         return Err(Rejection::invalid("registration.runs", "must be from 1 to 1000 million"));
     }
     // For γ between 1/2 and 1 the subtraction 1 - γ does not round.
@@ -152,12 +152,12 @@ fn check_registration(registration: &Registration, published: &str) -> Result<()
     Ok(())
 }
 
-pub(crate) fn check_blocks_of_rate(claim: &Rate) -> Result<(), Rejection> {
+pub(crate) fn check_rate_blocks(claim: &RateClaim) -> Result<(), Rejection> {
     let counts = claim.blocks.iter().map(|(failures, sha256)| (*failures, 0, sha256.as_str()));
     check_blocks(&claim.registration, counts, [claim.failures, 0])
 }
 
-pub(crate) fn check_blocks_of_comparison(claim: &Comparison) -> Result<(), Rejection> {
+pub(crate) fn check_comparison_blocks(claim: &ComparisonClaim) -> Result<(), Rejection> {
     let counts = claim.blocks.iter().map(|([first, second], sha256)| (*first, *second, sha256.as_str()));
     check_blocks(&claim.registration, counts, [claim.only_first_failed, claim.only_second_failed])
 }
@@ -187,45 +187,45 @@ fn check_blocks<'a>(
     if sums == claimed { Ok(()) } else { Err(Rejection::invalid("blocks", "do not add up to what is claimed")) }
 }
 
-fn check_rare(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
-    let (tail, allowed) = (tail_at_most(failures, runs, rate), 1.0 - confidence);
-    if tail <= allowed { Ok(()) } else { Err(Rejection::TooLikely { tail, allowed }) }
+fn check_tail(failures: u64, runs: u64, rate: f64, confidence: f64) -> Result<(), Rejection> {
+    let (tail, allowed) = (binomial_tail_upper_bound(failures, runs, rate), 1.0 - confidence);
+    if tail <= allowed { Ok(()) } else { Err(Rejection::NotSignificant { tail_probability: tail, max_tail_probability: allowed }) }
 }
 
 /// An upper bound of F(k; n, p) for 0 < p < 1, within about n · 4e-16 of it; 1 for more than [`MOST_RUNS`] runs.
 #[must_use]
-pub fn tail_at_most(failures: u64, runs: u64, rate: f64) -> f64 {
+pub fn binomial_tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
     match runs {
-        0..=ONE_BY_ONE => tail(failures, runs, rate, &[(up(1.0 - rate), 1)]),
-        _ if runs > MOST_RUNS => 1.0,
-        _ => tail_by_powers(failures, runs, rate),
+        0..=MAX_FACTORWISE_RUNS => tail_upper_bound(failures, runs, rate, &[(round_up(1.0 - rate), 1)]),
+        _ if runs > MAX_RUNS => 1.0,
+        _ => tail_upper_bound_by_powers(failures, runs, rate),
     }
 }
 
 /// Another upper bound of the same, as near to it, in about k + log n steps instead of n.
-fn tail_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
-    let mut powers = vec![(up(1.0 - rate), 1)];
+fn tail_upper_bound_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
+    let mut powers = vec![(round_up(1.0 - rate), 1)];
     while let Some(&(power, exponent)) = powers.last()
         && exponent <= runs
         && power * power >= 0.5
     {
-        powers.push((up(power * power), 2 * exponent));
+        powers.push((round_up(power * power), 2 * exponent));
     }
-    tail(failures, runs, rate, &powers)
+    tail_upper_bound(failures, runs, rate, &powers)
 }
 
-fn up(rounded: f64) -> f64 {
+fn round_up(rounded: f64) -> f64 {
     rounded.next_up()
 }
 
 /// The tail. Of q = 1 - p, upper bounds of powers are given, each with its exponent, in order, the first of which is q itself: none but
 /// the first is small, so that the product does not vanish.
-fn tail(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
+fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
     if k >= n {
         return 1.0;
     }
-    let q = up(1.0 - rate);
+    let q = round_up(1.0 - rate);
     // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. A large factor is taken whenever the
     // product is below one and a small one otherwise, so that it neither overflows nor vanishes before its time.
     let mut term = 1.0_f64;
@@ -233,7 +233,7 @@ fn tail(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     while taken < k || damped < n - k {
         if taken < k && (term < 1.0 || damped == n - k) {
             taken += 1;
-            term = up(term * up(up(rate * (n - k + taken) as f64) / taken as f64));
+            term = round_up(term * round_up(round_up(rate * (n - k + taken) as f64) / taken as f64));
             continue;
         }
         // What is left to be damped only becomes less.
@@ -245,14 +245,14 @@ fn tail(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
         }
         let (power, exponent) = powers.last().copied().unwrap_or((q, 1));
         damped += exponent;
-        term = up(term * power);
+        term = round_up(term * power);
     }
     // The terms before it, each from the next: C(n, i-1)/C(n, i) = i/(n - i + 1).
-    let odds = up(q / rate);
+    let odds = round_up(q / rate);
     let mut sum = term;
     for i in (1..=k).rev() {
-        term = up(term * up(up(i as f64 / (n - i + 1) as f64) * odds));
-        sum = up(sum + term);
+        term = round_up(term * round_up(round_up(i as f64 / (n - i + 1) as f64) * odds));
+        sum = round_up(sum + term);
     }
     sum.min(1.0)
 }
@@ -268,7 +268,7 @@ mod tests {
             [(0, 300_000, 3e-5), (7, 300_000, 5e-5), (900, 300_000, 3.2e-3), (1, 1000, 1e-7), (140_000, 300_000, 0.47)]
         {
             let one_by_one = tail_at_most(failures, runs, rate);
-            let together = tail_by_powers(failures, runs, rate);
+            let together = tail_upper_bound_by_powers(failures, runs, rate);
             assert!((together / one_by_one - 1.0).abs() < 2e-10, "{failures} {runs} {rate}: {together} {one_by_one}");
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.
@@ -285,11 +285,11 @@ mod tests {
         let squared = |rate: f64, often: u32| (0..often).fold(up(1.0 - rate), |power, _| up(power * power));
         for rate in (1..=50).map(|n| 1e-5 * f64::from(n)) {
             assert_eq!(tail_at_most(0, 1000, rate), times(up(1.0 - rate), 1000));
-            assert_eq!(tail_by_powers(0, 1024, rate), times(squared(rate, 10), 1));
+            assert_eq!(tail_upper_bound_by_powers(0, 1024, rate), times(squared(rate, 10), 1));
             let each_once = (0..10).rev().fold(1.0, |product, often| up(product * squared(rate, often)));
-            assert_eq!(tail_by_powers(0, 1023, rate), each_once);
+            assert_eq!(tail_upper_bound_by_powers(0, 1023, rate), each_once);
         }
         // 0.9^4 is 0.66, and its square is less than a half.
-        assert_eq!(tail_by_powers(0, 64, 0.1), times(squared(0.1, 2), 16));
+        assert_eq!(tail_upper_bound_by_powers(0, 64, 0.1), times(squared(0.1, 2), 16));
     }
 }

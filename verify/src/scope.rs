@@ -3,17 +3,17 @@
 
 use std::fmt;
 
-use crate::Accepted;
+use crate::ProvedClaim;
 use crate::certificate::{Certificate, Statement};
-use crate::claim::{Ego, Held, Scene};
-use crate::cruise::{self, Cruise};
+use crate::claim::{SceneEgo, ConstantPiece, Scene};
+use crate::cruise::{self, CruiseClaim};
 use crate::interval::Interval;
-use crate::kernel::Kernel;
+use crate::kernel::KernelClaim;
 use crate::rate::Registration;
-use crate::reach::{Dimension, Reach, Source};
+use crate::reach::{BoxDimension, ReachClaim, NetworkFileSource};
 
 /// Of the vehicles of a reach the one under test.
-const UNDER_TEST: usize = 1;
+const EGO_INDEX: usize = 1;
 
 const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
 
@@ -23,7 +23,7 @@ pub struct Scope {
     /// The time that it covers, in seconds; infinite if it holds for ever, none if it does not say.
     pub horizon_s: Option<f64>,
     /// Whether checking it says what holds after that.
-    pub has_afterwards: bool,
+    pub covers_after_horizon: bool,
     /// The scenario, box or space, and how it is bound to it.
     pub about: String,
     /// Each vehicle of the claim but those behind, front to rear, with where it may start and what it does or may do.
@@ -39,26 +39,26 @@ impl Certificate {
     #[must_use]
     pub fn scope(&self) -> Scope {
         let mut scope = match &self.statement {
-            Statement::Avoidable(claim) => of_scene(&claim.scene),
-            Statement::Unavoidable(claim) => of_scene(&claim.scene),
-            Statement::GapBound(claim) => of_scene(&claim.scene),
-            Statement::Kernel(claim) => of_kernel(claim),
-            Statement::Rate(claim) => of_runs(&claim.registration),
-            Statement::Comparison(claim) => of_runs(&claim.registration),
-            Statement::Reach(claim) => of_reach(claim),
-            Statement::AdaptiveCruise(claim) => of_cruise(claim),
+            Statement::Avoidable(claim) => scene_scope(&claim.scene),
+            Statement::Unavoidable(claim) => scene_scope(&claim.scene),
+            Statement::GapBound(claim) => scene_scope(&claim.scene),
+            Statement::Kernel(claim) => kernel_scope(claim),
+            Statement::Rate(claim) => runs_scope(&claim.registration),
+            Statement::Comparison(claim) => runs_scope(&claim.registration),
+            Statement::Reach(claim) => reach_scope(claim),
+            Statement::AdaptiveCruise(claim) => cruise_scope(claim),
         };
-        scope.about = self.about();
-        scope.has_afterwards = matches!(self.statement, Statement::Avoidable(_));
+        scope.about = self.describe_subject();
+        scope.covers_after_horizon = matches!(self.statement, Statement::Avoidable(_));
         scope
     }
 
     /// The same, with what the certificate does not say itself and its check has read of the policy.
     #[must_use]
-    pub fn scope_of(&self, accepted: &Accepted) -> Scope {
+    pub fn scope_with_result(&self, accepted: &ProvedClaim) -> Scope {
         let mut scope = self.scope();
-        if let Accepted::Reach { departs_from: Some(departure), .. } = accepted
-            && let Some(ego) = scope.vehicles.get_mut(UNDER_TEST)
+        if let ProvedClaim::Reach { residual_over: Some(departure), .. } = accepted
+            && let Some(ego) = scope.vehicles.get_mut(EGO_INDEX)
         {
             *ego += &format!("; {departure}");
         }
@@ -67,8 +67,8 @@ impl Certificate {
 
     /// Returns the scope of a claim about a scenario that has `left_out` vehicles more behind than the claim.
     #[must_use]
-    pub fn scope_beside(&self, accepted: Option<&Accepted>, left_out: usize) -> Scope {
-        let mut scope = accepted.map_or_else(|| self.scope(), |accepted| self.scope_of(accepted));
+    pub fn scope_with_uncovered_vehicles(&self, accepted: Option<&ProvedClaim>, left_out: usize) -> Scope {
+        let mut scope = accepted.map_or_else(|| self.scope(), |accepted| self.scope_with_result(accepted));
         let vehicles = if left_out == 1 { "vehicle" } else { "vehicles" };
         let is_followed = self.statement.scene().is_some_and(|scene| scene.follower.is_some());
         scope.behind = match (scope.behind.filter(|_| is_followed), left_out) {
@@ -81,11 +81,11 @@ impl Certificate {
         scope
     }
 
-    fn about(&self) -> String {
+    fn describe_subject(&self) -> String {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // Whoever wrote the file chose the name: nothing in it may steer a terminal.
         let name = name.escape_debug();
-        if self.is_old() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
+        if self.is_first_version() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
             return format!("`{name}` by its own word: version 1 binds a statement to nothing");
         }
         match &self.statement {
@@ -101,7 +101,7 @@ impl Certificate {
 impl fmt::Display for Scope {
     /// Some lines, none of them empty.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { horizon_s, has_afterwards, about, vehicles, behind, limits } = self;
+        let Self { horizon_s, covers_after_horizon: has_afterwards, about, vehicles, behind, limits } = self;
         writeln!(out, "about {about}")?;
         match horizon_s {
             Some(f64::INFINITY) => write!(out, "for ever")?,
@@ -114,31 +114,31 @@ impl fmt::Display for Scope {
 }
 
 /// A number, or the ends of a range.
-fn range(of: Interval) -> String {
+fn format_range(of: Interval) -> String {
     if of.low() == of.high() { of.low().to_string() } else { format!("{} to {}", of.low(), of.high()) }
 }
 
 /// A scope without its subject and without vehicles behind.
-fn scope(horizon_s: Option<f64>, vehicles: Vec<String>, limits: Vec<String>) -> Scope {
-    Scope { horizon_s, has_afterwards: false, about: String::new(), vehicles, behind: None, limits }
+fn partial_scope(horizon_s: Option<f64>, vehicles: Vec<String>, limits: Vec<String>) -> Scope {
+    Scope { horizon_s, covers_after_horizon: false, about: String::new(), vehicles, behind: None, limits }
 }
 
-fn of_scene(scene: &Scene) -> Scope {
+fn scene_scope(scene: &Scene) -> Scope {
     let leader = &scene.leader;
     let script = &leader.acceleration_mps2;
-    let ends = |held: &Held<Interval>| [held.1.low(), held.1.high()];
+    let ends = |held: &ConstantPiece<Interval>| [held.1.low(), held.1.high()];
     let hull = script.iter().map(ends).reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
     let script = match hull.and_then(|[low, high]| Interval::new(low, high)) {
-        Some(accelerations) => format!("a script of {} pieces at {} m/s²", script.len(), range(accelerations)),
+        Some(accelerations) => format!("a script of {} pieces at {} m/s²", script.len(), format_range(accelerations)),
         None => "no script".to_owned(),
     };
     let start = |position_m: Interval, speed_mps: Interval| {
-        format!("front bumper at {} m, {} m/s", range(position_m), range(speed_mps))
+        format!("front bumper at {} m, {} m/s", format_range(position_m), format_range(speed_mps))
     };
     let mut vehicles =
         vec![format!("leader: {}, {} m long, {script}", start(leader.position_m, leader.speed_mps), leader.length_m)];
     vehicles.extend(scene.egos.iter().map(|ego| {
-        let Ego { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
+        let SceneEgo { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
         format!(
             "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to {max_accel_mps2} m/s²",
             start(*position_m, *speed_mps)
@@ -148,17 +148,17 @@ fn of_scene(scene: &Scene) -> Scope {
         Some(follower) => format!(
             "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
             start(follower.position_m, follower.speed_mps),
-            range(follower.brake_mps2),
+            format_range(follower.brake_mps2),
             follower.reaction_steps,
             follower.ttc_s
         ),
         None => "behind: no vehicle is part of the claim".to_owned(),
     };
     let limits = vec![format!("{} steps of {} s", scene.steps, scene.step_s)];
-    Scope { behind: Some(behind), ..scope(Some(scene.horizon_s()), vehicles, limits) }
+    Scope { behind: Some(behind), ..partial_scope(Some(scene.horizon_s()), vehicles, limits) }
 }
 
-fn of_kernel(kernel: &Kernel) -> Scope {
+fn kernel_scope(kernel: &KernelClaim) -> Scope {
     // Texts of a file: nothing in them may steer a terminal.
     let [b, c, step_s, margin_m] =
         [&kernel.ego_brake_mps2, &kernel.leader_brake_mps2, &kernel.step_s, &kernel.margin_m]
@@ -171,10 +171,10 @@ fn of_kernel(kernel: &Kernel) -> Scope {
         "for any step and margin, {step_s} s and {margin_m} m among them; real numbers, the true state, neither lag nor delay"
     )];
     let behind = Some("behind: not considered".to_owned());
-    Scope { behind, ..scope(Some(f64::INFINITY), vehicles, limits) }
+    Scope { behind, ..partial_scope(Some(f64::INFINITY), vehicles, limits) }
 }
 
-fn of_runs(registration: &Registration) -> Scope {
+fn runs_scope(registration: &Registration) -> Scope {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str).escape_debug();
     let horizon_s = registration.configuration.get("horizon_s").and_then(|text| text.parse().ok());
     let controller = |place: &str| {
@@ -191,15 +191,15 @@ fn of_runs(registration: &Registration) -> Scope {
     }
     let (runs, seed, failure) = (registration.runs, of("seed"), of("failure"));
     let limits = vec![format!("{runs} runs drawn with seed {seed}; a failure is: {failure}")];
-    scope(horizon_s, vehicles, limits)
+    partial_scope(horizon_s, vehicles, limits)
 }
 
 /// Which network drives.
-fn network(digest: &str, source: Option<&Source>) -> String {
+fn describe_network(digest: &str, source: Option<&NetworkFileSource>) -> String {
     let digest = digest.escape_debug();
     match source {
         None => format!("policy with SHA-256 {digest}"),
-        Some(Source { format, sha256 }) => format!(
+        Some(NetworkFileSource { format, sha256 }) => format!(
             "network with SHA-256 {digest}, read from a file in the format {} with SHA-256 {}",
             format.name(),
             sha256.escape_debug()
@@ -207,11 +207,11 @@ fn network(digest: &str, source: Option<&Source>) -> String {
     }
 }
 
-fn of_reach(claim: &Reach) -> Scope {
-    let of = |dimension| range(claim.ranges.get(dimension));
+fn reach_scope(claim: &ReachClaim) -> Scope {
+    let of = |dimension| format_range(claim.ranges.get(dimension));
     let onset = claim.ranges.onset_steps;
     let onset_s = match Interval::new(onset.low() * claim.step_s, onset.high() * claim.step_s) {
-        Some(onset_s) => range(onset_s),
+        Some(onset_s) => format_range(onset_s),
         None => "no time".to_owned(),
     };
     let leader_brakes = match claim.leader_brakes_at_most_mps2 {
@@ -220,21 +220,21 @@ fn of_reach(claim: &Reach) -> Scope {
                 "never speeds up, and brakes as it likes: over each step at another rate from 0 to {limit_mps2} m/s²"
             )
         }
-        None => format!("brakes at {} m/s² from {onset_s} s on", of(Dimension::LeaderBrakeMps2)),
+        None => format!("brakes at {} m/s² from {onset_s} s on", of(BoxDimension::LeaderBrakeMps2)),
     };
     let vehicles = vec![
-        format!("leader: {} m ahead, {} m/s, {leader_brakes}", of(Dimension::GapAheadM), of(Dimension::LeaderSpeedMps)),
+        format!("leader: {} m ahead, {} m/s, {leader_brakes}", of(BoxDimension::GapAheadM), of(BoxDimension::LeaderSpeedMps)),
         format!(
             "under test: {} m/s, driven by the {}",
-            of(Dimension::EgoSpeedMps),
-            network(&claim.policy_sha256, claim.source.as_ref())
+            of(BoxDimension::EgoSpeedMps),
+            describe_network(&claim.policy_sha256, claim.source.as_ref())
         ),
     ];
     let followed = |how: String| {
-        let [gap_m, speed_mps] = [Dimension::GapBehindM, Dimension::FollowerSpeedMps].map(of);
+        let [gap_m, speed_mps] = [BoxDimension::GapBehindM, BoxDimension::FollowerSpeedMps].map(of);
         format!("behind: {gap_m} m behind, {speed_mps} m/s, {how}")
     };
-    let brake_mps2 = of(Dimension::FollowerBrakeMps2);
+    let brake_mps2 = of(BoxDimension::FollowerBrakeMps2);
     let behind = match (claim.follower_ttc_s, &claim.follower_law) {
         (Some(ttc_s), _) => {
             followed(format!("brakes at {brake_mps2} m/s² once its time to collision falls below {ttc_s} s"))
@@ -250,30 +250,30 @@ fn of_reach(claim: &Reach) -> Scope {
         "{} steps of {} s; what is observed is off by {} at most (m, m/s, m/s²)",
         claim.steps,
         claim.step_s,
-        readable(largest)
+        format_number(largest)
     )];
-    Scope { behind: Some(behind), ..scope(Some(claim.horizon_s()), vehicles, limits) }
+    Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
 }
 
 /// Returns a number as a reader writes it: with an exponent only where it would have many zeros.
-pub(crate) fn readable(number: f64) -> String {
+pub(crate) fn format_number(number: f64) -> String {
     match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
         true => number.to_string(),
         false => format!("{number:e}"),
     }
 }
 
-fn of_cruise(claim: &Cruise) -> Scope {
-    let [x_lead, v_lead, x_ego, v_ego] = cruise::STARTS.map(|[low, high]| format!("{low} to {high}"));
-    let (drag, lead_mps2) = (cruise::DRAG, cruise::LEAD_MPS2);
+fn cruise_scope(claim: &CruiseClaim) -> Scope {
+    let [x_lead, v_lead, x_ego, v_ego] = cruise::INITIAL_SET.map(|[low, high]| format!("{low} to {high}"));
+    let (drag, lead_mps2) = (cruise::DRAG, cruise::LEAD_ACCEL_MPS2);
     let vehicles = vec![
         format!("lead car: at {x_lead} m, {v_lead} m/s, a = {lead_mps2} m/s²"),
         format!(
             "own car: at {x_ego} m, {v_ego} m/s, a from the {}, every {} s",
-            network(&claim.policy_sha256, Some(&claim.source)),
+            describe_network(&claim.policy_sha256, Some(&claim.source)),
             cruise::PERIOD_S
         ),
     ];
     let limits = vec![format!("x' = v, v' = γ, γ' = -2 γ + 2 a - {drag} v² for both, γ = 0 at the start")];
-    scope(Some(cruise::PERIODS as f64 * cruise::PERIOD_S), vehicles, limits)
+    partial_scope(Some(cruise::PERIODS as f64 * cruise::PERIOD_S), vehicles, limits)
 }

@@ -40,44 +40,44 @@
 //! What an ego does there is a measurable acceleration within [-b, A]: held over steps, zero once it stands, late, lagging,
 //! limited in jerk, decided by whatever it sees. Delay, lag and noise of the sensors only take freedom away.
 
-use crate::certificate::{Branch, GapBound, Rows, Unavoidable};
-use crate::claim::{Ego, Scene};
+use crate::certificate::{Branch, GapBoundClaim, MultiplierRows, UnavoidableClaim};
+use crate::claim::{SceneEgo, Scene};
 use crate::interval::Interval;
-use crate::work::{OF_INTERVAL, Work};
-use crate::{Accepted, Rejection};
+use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
+use crate::{ProvedClaim, Rejection};
 
 /// Operations for one instant and one vehicle in a branch.
-const AN_INSTANT: u64 = 20 * OF_INTERVAL;
+const OPS_PER_INSTANT: u64 = 20 * OPS_PER_INTERVAL_OP;
 
-pub(crate) fn check(Unavoidable { scene, branches }: &Unavoidable, work: &Work) -> Result<Accepted, Rejection> {
-    let overlap_m = least_overlap_m(scene, branches, work, closed)?;
-    Ok(Accepted::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
+pub(crate) fn check(UnavoidableClaim { scene, branches }: &UnavoidableClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+    let overlap_m = min_overlap_m(scene, branches, work, positive_overlap_m)?;
+    Ok(ProvedClaim::Unavoidable { overlap_m, horizon_s: scene.horizon_s() })
 }
 
-pub(crate) fn check_gap_bound(claim: &GapBound, work: &Work) -> Result<Accepted, Rejection> {
-    let GapBound { scene, gap_m: stated_m, branches } = claim;
+pub(crate) fn check_gap_bound(claim: &GapBoundClaim, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+    let GapBoundClaim { scene, gap_m: stated_m, branches } = claim;
     if !(*stated_m >= 0.0 && stated_m.is_finite()) {
         return Err(Rejection::invalid("gap_m", "must be a number that is not negative"));
     }
-    let gap_m = (-least_overlap_m(scene, branches, work, overlap)?).max(0.0);
+    let gap_m = (-min_overlap_m(scene, branches, work, branch_overlap_m)?).max(0.0);
     match gap_m <= *stated_m {
-        true => Ok(Accepted::GapBound { gap_m, horizon_s: scene.horizon_s() }),
+        true => Ok(ProvedClaim::GapBound { gap_m, horizon_s: scene.horizon_s() }),
         false => Err(Rejection::GapBound { stated_m: *stated_m, gap_m }),
     }
 }
 
 /// The least overlap in metres that any branch proves.
-fn least_overlap_m(
+fn min_overlap_m(
     scene: &Scene,
     branches: &[Branch],
-    work: &Work,
+    work: &OpBudget,
     proved_m: impl Fn(&Scene, &Branch, usize) -> Result<f64, Rejection>,
 ) -> Result<f64, Rejection> {
     scene.check()?;
     check_tiling(scene, branches)?;
-    let a_branch = scene.instants() * scene.vehicles() * AN_INSTANT;
+    let a_branch = scene.instant_count() * scene.vehicle_count() * OPS_PER_INSTANT;
     let mut overlaps_m = branches.iter().enumerate().map(|(index, branch)| {
-        work.spend(a_branch)?;
+        work.charge_or_reject(a_branch)?;
         proved_m(scene, branch, index)
     });
     overlaps_m.try_fold(f64::INFINITY, |least_m, overlap_m| Ok(overlap_m?.min(least_m)))
@@ -89,28 +89,28 @@ fn least_overlap_m(
 /// [`Rejection`] if the scene or the branch makes no sense, or the branch proves nothing.
 pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
     scene.check()?;
-    closed(scene, branch, index)
+    positive_overlap_m(scene, branch, index)
 }
 
 /// The overlap of a branch in which somebody touches.
-fn closed(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
-    let (overlap_m, sum_m) = sum(scene, branch, index)?;
+fn positive_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+    let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
     if sum_m > 0.0 && overlap_m > 0.0 { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
 }
 
 /// The overlap that a branch proves; where it is negative, some gap gets as small as that.
-fn overlap(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
-    let (overlap_m, sum_m) = sum(scene, branch, index)?;
+fn branch_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
+    let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
     if overlap_m > f64::NEG_INFINITY { Ok(overlap_m) } else { Err(Rejection::Unproved { branch: index, sum_m }) }
 }
 
 /// The overlap, and the least sum, of a branch.
-fn sum(scene: &Scene, branch: &Branch, index: usize) -> Result<(f64, f64), Rejection> {
+fn branch_overlap_and_sum(scene: &Scene, branch: &Branch, index: usize) -> Result<(f64, f64), Rejection> {
     if branch.last < branch.first || branch.last > scene.steps {
         return Err(Rejection::Tiling { branch: index });
     }
     check_rows(scene, branch, index)?;
-    let (sum_m, contact) = least_sum(scene, branch);
+    let (sum_m, contact) = min_sum(scene, branch);
     let overlap_m = match contact == Interval::ZERO {
         false => Interval::point(sum_m).over(contact).low(),
         true if sum_m > 0.0 => f64::INFINITY,
@@ -143,16 +143,16 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     // The rows that mention the follower do not exist without one.
     let with_follower = |end: u32| if scene.follower.is_some() { end } else { 0 };
     let end = scene.steps + 1;
-    check_list(&branch.front, end, || place("front"))?;
-    check_list(&branch.rear, with_follower(end), || place("rear"))?;
-    check_list(&branch.unfired, with_follower(branch.first), || place("unfired"))?;
+    check_multipliers(&branch.front, end, || place("front"))?;
+    check_multipliers(&branch.rear, with_follower(end), || place("rear"))?;
+    check_multipliers(&branch.unfired, with_follower(branch.first), || place("unfired"))?;
     let egos = scene.egos.len();
     for (name, lists, wanted) in [("between", &branch.between, egos - 1), ("speed", &branch.speed, egos)] {
         if !lists.is_empty() && lists.len() != wanted {
             return Err(Rejection::invalid(place(name), "has a wrong number of lists"));
         }
         for (list, rows) in lists.iter().enumerate() {
-            check_list(rows, end, || format!("{}[{list}]", place(name)))?;
+            check_multipliers(rows, end, || format!("{}[{list}]", place(name)))?;
         }
     }
     let may_fire = with_follower(scene.steps) > branch.first && branch.first == branch.last;
@@ -163,7 +163,7 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
 }
 
 /// Instants increase and are less than `end`.
-fn check_list(rows: &Rows, end: u32, place: impl Fn() -> String) -> Result<(), Rejection> {
+fn check_multipliers(rows: &MultiplierRows, end: u32, place: impl Fn() -> String) -> Result<(), Rejection> {
     let mut next = 0;
     for (entry, &(k, multiplier)) in rows.iter().enumerate() {
         if k < next || k >= end {
@@ -178,19 +178,19 @@ fn check_list(rows: &Rows, end: u32, place: impl Fn() -> String) -> Result<(), R
 }
 
 /// A lower bound of the weighted sum in metres, over the box and all profiles, and the sum of the contact multipliers.
-fn least_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
+fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
     let egos = &scene.egos;
     let leader_rear_m = scene.leader_rear_m();
     let last = egos.len() - 1;
     let mut weights = vec![vec![[Interval::ZERO; 2]; scene.steps as usize + 1]; egos.len()];
     let (mut constant, mut contact) = (Interval::ZERO, Interval::ZERO);
-    for (k, y) in each(&branch.front) {
+    for (k, y) in nonzero_multipliers(&branch.front) {
         weights[0][k][POSITION] += y;
         constant += -(y * leader_rear_m[k]);
         contact += y;
     }
     for (ahead, rows) in branch.between.iter().enumerate() {
-        for (k, y) in each(rows) {
+        for (k, y) in nonzero_multipliers(rows) {
             weights[ahead + 1][k][POSITION] += y;
             weights[ahead][k][POSITION] += -y;
             constant += y * Interval::point(egos[ahead].length_m);
@@ -198,29 +198,29 @@ fn least_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
         }
     }
     for (ego, rows) in branch.speed.iter().enumerate() {
-        for (k, y) in each(rows) {
+        for (k, y) in nonzero_multipliers(rows) {
             weights[ego][k][SPEED] += -y;
         }
     }
     if let Some(follower) = &scene.follower {
         let length_m = Interval::point(egos[last].length_m);
-        for (k, y) in each(&branch.rear) {
+        for (k, y) in nonzero_multipliers(&branch.rear) {
             weights[last][k][POSITION] += -y;
-            constant += y * (scene.follower_m(follower, branch.first, k as u32) + length_m);
+            constant += y * (scene.follower_position_m(follower, branch.first, k as u32) + length_m);
             contact += y;
         }
         // The row `fired` is the negative of what `unfired` would be at that instant.
         let ttc_s = Interval::point(follower.ttc_s);
-        let fired = each(&[(branch.first, branch.fired)]).map(|(k, y)| (k, -y)).next();
-        for (k, y) in each(&branch.unfired).chain(fired) {
+        let fired = nonzero_multipliers(&[(branch.first, branch.fired)]).map(|(k, y)| (k, -y)).next();
+        for (k, y) in nonzero_multipliers(&branch.unfired).chain(fired) {
             weights[last][k][POSITION] += -y;
             weights[last][k][SPEED] += -(y * ttc_s);
-            let coasting_m = scene.follower_m(follower, scene.steps, k as u32);
+            let coasting_m = scene.follower_position_m(follower, scene.steps, k as u32);
             constant += y * (coasting_m + length_m + ttc_s * follower.speed_mps);
         }
     }
     let step_s = Interval::point(scene.step_s);
-    let sum = egos.iter().zip(&weights).fold(constant, |sum, (ego, weights)| sum + least_of_ego(ego, weights, step_s));
+    let sum = egos.iter().zip(&weights).fold(constant, |sum, (ego, weights)| sum + min_ego_sum(ego, weights, step_s));
     (sum.low(), contact)
 }
 
@@ -228,7 +228,7 @@ const POSITION: usize = 0;
 const SPEED: usize = 1;
 
 /// Rows with a multiplier other than zero.
-fn each(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
+fn nonzero_multipliers(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
     rows.iter().filter(|row| row.1 != 0.0).map(|&(k, multiplier)| (k as usize, Interval::point(multiplier)))
 }
 
@@ -236,7 +236,7 @@ fn each(rows: &[(u32, f64)]) -> impl Iterator<Item = (usize, Interval)> {
 ///
 /// Going back from the last instant, `slope` is the sum of the w so far, and `q` the value of q just before the instant;
 /// at the start they are the factors of x_0 and v_0.
-fn least_of_ego(ego: &Ego, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
+fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> Interval {
     let Some(end) = weights.iter().rposition(|weight| *weight != [Interval::ZERO; 2]) else {
         return Interval::ZERO;
     };
@@ -246,7 +246,7 @@ fn least_of_ego(ego: &Ego, weights: &[[Interval; 2]], step_s: Interval) -> Inter
         q += on_speed;
         if k > 0 {
             let begin = q + slope * step_s;
-            sum += least_over_step(ego, begin, q, step_s);
+            sum += min_step_integral(ego, begin, q, step_s);
             q = begin;
         }
     }
@@ -258,7 +258,7 @@ fn least_of_ego(ego: &Ego, weights: &[[Interval; 2]], step_s: Interval) -> Inter
 /// Where q surely changes sign, the two triangles are integrated: p² b / (p + n) and n² A / (p + n) times -h/2, for the
 /// values p > 0 and -n < 0. Otherwise φ(q(t)) is concave, so its integral is at least the trapezoid's; without a change of
 /// sign it is the trapezoid's.
-fn least_over_step(ego: &Ego, begin: Interval, end: Interval, step_s: Interval) -> Interval {
+fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
     let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
     let half = step_s * Interval::point(0.5);
     let triangles = |p: Interval, n: Interval| -half * (brake * p.sqr() + accel * n.sqr()).over(p + n);
@@ -283,7 +283,7 @@ mod tests {
         Ego { position_m: Interval::ZERO, length_m: 2.0, speed_mps: Interval::ZERO, max_brake_mps2, max_accel_mps2 }
     }
 
-    fn exact(value: f64) -> BigRational {
+    fn rational(value: f64) -> BigRational {
         BigRational::from_float(value).unwrap()
     }
 
@@ -309,7 +309,7 @@ mod tests {
             begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64, h in 0.01..2.0_f64,
         ) {
             let ego = ego(brake, accel);
-            let found = least_over_step(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
+            let found = min_step_integral(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
             let least = integral(&ego, [begin, end], h);
             prop_assert!(exact(found.low()) <= least);
             prop_assert!(least - exact(found.low()) < exact(1e-12 * (1.0 + found.low().abs())), "{found:?}");
@@ -328,7 +328,7 @@ mod tests {
             (of(-2.0, 0.0), point(1.0), -brake - 2.0 * accel),
             (point(-1.0), of(0.0, 2.0), -2.0 * brake - accel),
         ] {
-            let found = least_over_step(&ego(brake, accel), begin, end, point(0.5)).low();
+            let found = min_step_integral(&ego(brake, accel), begin, end, point(0.5)).low();
             assert!((found - 0.25 * expected).abs() < 1e-12, "{begin:?} {end:?}: {found}");
         }
     }

@@ -12,7 +12,7 @@ use crate::Rejection;
 const BILLION: u64 = 1_000_000_000;
 
 /// Operations for one operation of outward-rounded intervals, more or less.
-pub(crate) const OF_INTERVAL: u64 = 20;
+pub(crate) const OPS_PER_INTERVAL_OP: u64 = 20;
 
 /// How many operations checking one certificate may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -20,23 +20,23 @@ pub struct WorkLimit(u64);
 
 impl WorkLimit {
     /// As many as it takes.
-    pub const NONE: Self = Self(u64::MAX);
+    pub const UNLIMITED: Self = Self(u64::MAX);
 
     /// So many operations.
     #[must_use]
-    pub const fn operations(operations: u64) -> Self {
+    pub const fn from_operations(operations: u64) -> Self {
         Self(operations)
     }
 
     /// So many billions of operations, for each of which a core takes a fraction of a second.
     #[must_use]
-    pub const fn billions(billions: u64) -> Self {
+    pub const fn from_billions(billions: u64) -> Self {
         Self(billions.saturating_mul(BILLION))
     }
 
     /// The limit in whole billions.
     #[must_use]
-    pub const fn in_billions(self) -> u64 {
+    pub const fn to_billions(self) -> u64 {
         self.0 / BILLION
     }
 }
@@ -44,7 +44,7 @@ impl WorkLimit {
 /// 4000 billion operations: some ten minutes of one core for a statement about reach.
 impl Default for WorkLimit {
     fn default() -> Self {
-        Self::billions(4000)
+        Self::from_billions(4000)
     }
 }
 
@@ -56,19 +56,19 @@ impl std::fmt::Display for WorkLimit {
 
 /// What is left of a limit, for any number of threads.
 #[derive(Debug)]
-pub(crate) struct Work {
+pub(crate) struct OpBudget {
     limit: WorkLimit,
-    done: AtomicU64,
+    spent: AtomicU64,
 }
 
-impl Work {
-    pub(crate) fn within(limit: WorkLimit) -> Self {
-        Self { limit, done: AtomicU64::new(0) }
+impl OpBudget {
+    pub(crate) fn new(limit: WorkLimit) -> Self {
+        Self { limit, spent: AtomicU64::new(0) }
     }
 
     /// Counts operations, best before they are done. Whether they may be.
-    pub(crate) fn may_do(&self, operations: u64) -> bool {
-        let before = self.done.update(Ordering::Relaxed, Ordering::Relaxed, |done| done.saturating_add(operations));
+    pub(crate) fn charge(&self, operations: u64) -> bool {
+        let before = self.spent.update(Ordering::Relaxed, Ordering::Relaxed, |done| done.saturating_add(operations));
         before.saturating_add(operations) <= self.limit.0
     }
 
@@ -76,7 +76,7 @@ impl Work {
     ///
     /// # Errors
     /// [`Rejection::TooMuchWork`] if they, or those before, are too many.
-    pub(crate) fn spend(&self, operations: u64) -> Result<(), Rejection> {
-        if self.may_do(operations) { Ok(()) } else { Err(Rejection::TooMuchWork { limit: self.limit }) }
+    pub(crate) fn charge_or_reject(&self, operations: u64) -> Result<(), Rejection> {
+        if self.charge(operations) { Ok(()) } else { Err(Rejection::BudgetExceeded { limit: self.limit }) }
     }
 }

@@ -5,13 +5,13 @@
 use proptest::test_runner::Config;
 
 /// Cases of a property test that states no number.
-const NORMAL: u64 = 256;
+const DEFAULT_CASES: u64 = 256;
 
 /// Returns a configuration for `normal` cases at `PROPTEST_CASES=256`, in proportion for other values, at least one.
 #[must_use]
-pub fn cases(normal: u32) -> Config {
+pub fn with_cases(normal: u32) -> Config {
     let config = Config::default();
-    let scaled = (u64::from(normal) * u64::from(config.cases)).div_ceil(NORMAL);
+    let scaled = (u64::from(normal) * u64::from(config.cases)).div_ceil(DEFAULT_CASES);
     Config { cases: u32::try_from(scaled).unwrap_or(u32::MAX), max_shrink_iters: 2000, ..config }
 }
 

@@ -1,7 +1,7 @@
 //! Numbers with few significant digits, for readers: `8.31` and not `8.31e0`.
 
 /// Exponents of ten that are written out.
-const WRITTEN_OUT: std::ops::RangeInclusive<i32> = -4..=6;
+const FIXED_NOTATION_EXPONENTS: std::ops::RangeInclusive<i32> = -4..=6;
 
 /// Returns a number rounded to so many significant digits, at least one: with an exponent below 0.0001 and from 10 000 000 on.
 ///
@@ -10,14 +10,14 @@ const WRITTEN_OUT: std::ops::RangeInclusive<i32> = -4..=6;
 /// assert_eq!(["8.31", "0.00095569", "9.6e-5"], [nearest(8.3149, 3), nearest(9.55691e-4, 5), nearest(9.55e-5, 2)]);
 /// ```
 #[must_use]
-pub fn nearest(number: f64, digits: usize) -> String {
+pub fn format_rounded(number: f64, digits: usize) -> String {
     if number == 0.0 || !number.is_finite() {
         // Without the sign of a zero.
         return (number + 0.0).to_string();
     }
-    let (rounded, exponent) = scientific(number, digits);
+    let (rounded, exponent) = format_scientific(number, digits);
     match exponent {
-        exponent if WRITTEN_OUT.contains(&exponent) => {
+        exponent if FIXED_NOTATION_EXPONENTS.contains(&exponent) => {
             let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or(0);
             format!("{number:.decimals$}")
         }
@@ -28,17 +28,17 @@ pub fn nearest(number: f64, digits: usize) -> String {
 /// Returns a bound with so many significant digits, never below what it was: rounded to the nearest, an upper bound would claim more
 /// than was shown.
 #[must_use]
-pub fn up(bound: f64, digits: usize) -> String {
-    let (rounded, exponent) = scientific(bound, digits);
+pub fn format_rounded_up(bound: f64, digits: usize) -> String {
+    let (rounded, exponent) = format_scientific(bound, digits);
     match rounded.parse::<f64>() {
-        Ok(shown) if shown < bound => nearest(shown + 10f64.powi(exponent + 1 - digits as i32), digits),
-        Ok(shown) => nearest(shown, digits),
+        Ok(shown) if shown < bound => format_rounded(shown + 10f64.powi(exponent + 1 - digits as i32), digits),
+        Ok(shown) => format_rounded(shown, digits),
         Err(_) => rounded,
     }
 }
 
 /// A number with an exponent, and that exponent.
-fn scientific(number: f64, digits: usize) -> (String, i32) {
+fn format_scientific(number: f64, digits: usize) -> (String, i32) {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let exponent = rounded.rsplit_once('e').and_then(|(_, exponent)| exponent.parse().ok()).unwrap_or(0);
     (rounded, exponent)
@@ -85,7 +85,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bound_is_below_its_number(bound in proptest::num::f64::POSITIVE | proptest::num::f64::NORMAL, digits in 1..8_usize) {
+        fn no_bound_is_below_its_number(bound in proptest::num::f64::POSITIVE | proptest::num::f64::DEFAULT_CASES, digits in 1..8_usize) {
             let shown: f64 = up(bound, digits).parse().unwrap();
             prop_assert!(shown >= bound, "{shown} is shown for {bound}");
         }

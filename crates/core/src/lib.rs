@@ -10,4 +10,4 @@
 pub mod digest;
 pub mod digits;
 pub mod observer;
-pub mod quoted;
+pub mod quoting;

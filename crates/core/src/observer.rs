@@ -59,7 +59,7 @@ impl<P: ?Sized, F: Fn(&P) + Sync> Observer<P> for Listener<F> {
 
 /// Progress of work that counts its units, in most cases simulation runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Progress {
+pub struct RunProgress {
     /// Completed units.
     pub done: u64,
     /// Units in all, if that is known.
@@ -67,16 +67,16 @@ pub struct Progress {
 }
 
 /// A count of completed units, shared by the threads that complete them.
-pub struct Counter<'o> {
-    observer: &'o dyn Observer<Progress>,
+pub struct ProgressCounter<'o> {
+    observer: &'o dyn Observer<RunProgress>,
     done: AtomicU64,
     total: Option<u64>,
 }
 
-impl<'o> Counter<'o> {
+impl<'o> ProgressCounter<'o> {
     /// Starts at 0.
     #[must_use]
-    pub fn new(observer: &'o dyn Observer<Progress>, total: Option<u64>) -> Self {
+    pub fn new(observer: &'o dyn Observer<RunProgress>, total: Option<u64>) -> Self {
         Self { observer, done: AtomicU64::new(0), total }
     }
 
@@ -86,7 +86,7 @@ impl<'o> Counter<'o> {
     /// [`Stopped`] if the observer stops the work.
     pub fn add(&self, units: u64) -> Result<(), Stopped> {
         let done = self.done.fetch_add(units, Ordering::Relaxed) + units;
-        self.observer.notify(&Progress { done, total: self.total })
+        self.observer.notify(&RunProgress { done, total: self.total })
     }
 }
 

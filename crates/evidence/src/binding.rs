@@ -11,10 +11,10 @@ use crumple_verify::{Certificate, Reach, Registration, Statement};
 
 use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
-use super::starts::Starts;
+use super::initial_set::InitialSet;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
-use crumple_search::worst_case::{Family, FamilyError, Ranges, is_about, is_exactly};
+use crumple_search::worst_case::{Family, ScenarioBoxError, Ranges, is_about, is_exactly};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::{self, Space};
@@ -24,7 +24,7 @@ use crumple_world::sim::NamedController;
 /// Why a certificate is not about what it says.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum Unbound {
+pub enum BindingError {
     /// A text that it needs is not there.
     #[error("`{field}` is missing")]
     Missing {
@@ -36,7 +36,7 @@ pub enum Unbound {
     Text(FileError),
     /// The ranges make no box around the scenario.
     #[error("provenance.box_text: {0}")]
-    Family(#[from] FamilyError),
+    Family(#[from] ScenarioBoxError),
     /// The box is none that can be claimed about.
     #[error("provenance.box_text: {0}")]
     Box(#[from] super::InvalidBox),
@@ -56,7 +56,7 @@ pub enum Unbound {
     },
 }
 
-impl From<FileError> for Unbound {
+impl From<FileError> for BindingError {
     fn from(error: FileError) -> Self {
         if error.is_start_refused() { Self::StartRefused(error) } else { Self::Text(error) }
     }
@@ -65,7 +65,7 @@ impl From<FileError> for Unbound {
 /// Why a claim is not about a scenario.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum Elsewhere {
+pub enum ScenarioMismatch {
     /// Its scene, or what the scene leaves out, differs.
     #[error("the statement is about other vehicles, a longer or shorter time, or another space")]
     OtherScene,
@@ -99,28 +99,28 @@ pub enum Elsewhere {
 /// Of a certificate of version 1, which is bound to nothing, only this: if it carries the hash of a built-in scenario, it is about it.
 ///
 /// # Errors
-/// [`Unbound`] says what is not.
-pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unbound> {
+/// [`BindingError`] says what is not.
+pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), BindingError> {
     if certificate.is_old() {
         let carried = &certificate.provenance.scenario_sha256;
         let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
         let claimed = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(|one| hash(one) == *carried);
         let is_of_it = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
-        return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(other_scene()) };
+        return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
     }
     match &certificate.statement {
         Statement::Kernel(_) | Statement::AdaptiveCruise(_) => Ok(()),
-        Statement::Reach(claim) => is_of_box(certificate, claim, policy),
-        Statement::Rate(claim) => is_registered(certificate, &claim.registration),
-        Statement::Comparison(claim) => is_registered(certificate, &claim.registration),
+        Statement::Reach(claim) => check_box(certificate, claim, policy),
+        Statement::Rate(claim) => check_registration(certificate, &claim.registration),
+        Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
         // All others are about a scene.
         _ => {
             let scenario = scenario_of(certificate)?;
             let family = match &certificate.provenance.box_text {
                 None => Family::point(&scenario),
-                Some(text) => Family::new(&scenario, &file::parse_toml::<Ranges>(text, Path::new(BOX_TEXT))?)?,
+                Some(text) => Family::new(&scenario, &file::parse_toml::<Ranges>(text, Path::new(BOX_TEXT_FIELD))?)?,
             };
-            if is_exactly(certificate, &family) { Ok(()) } else { Err(other_scene()) }
+            if is_exactly(certificate, &family) { Ok(()) } else { Err(scene_mismatch()) }
         }
     }
 }
@@ -129,28 +129,28 @@ pub fn bound(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), Unb
 /// and all else the same. Of a leader that the claim lets brake as it likes, the script has to keep within the limit.
 ///
 /// # Errors
-/// [`Elsewhere`] says what keeps the claim from being about it.
-pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> Result<(), Elsewhere> {
+/// [`ScenarioMismatch`] says what keeps the claim from being about it.
+pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> Result<(), ScenarioMismatch> {
     let Statement::Reach(claim) = &certificate.statement else {
-        return if is_about(certificate, scenario) { Ok(()) } else { Err(Elsewhere::OtherScene) };
+        return if is_about(certificate, scenario) { Ok(()) } else { Err(ScenarioMismatch::OtherScene) };
     };
     let limit_mps2 = claim.leader_brakes_at_most_mps2;
-    let starts = Starts::from_scenario(scenario, limit_mps2)?;
+    let starts = InitialSet::from_scenario(scenario, limit_mps2)?;
     if let (Some(limit_mps2), Some(leader)) = (limit_mps2, scenario.vehicles().first()) {
         let horizon_s = scenario.spec().step_s * scenario.steps() as f64;
-        script::keeps_within(leader, limit_mps2, horizon_s)?;
+        script::check_script_limits(leader, limit_mps2, horizon_s)?;
     }
     if !is_same_run(claim, &starts) {
-        return Err(Elsewhere::OtherRun);
+        return Err(ScenarioMismatch::OtherRun);
     }
-    if !may_drive(policy, &starts) {
-        return Err(Elsewhere::OtherLimits);
+    if !can_execute_policy(policy, &starts) {
+        return Err(ScenarioMismatch::OtherLimits);
     }
     let outside = Dimension::ALL.into_iter().find_map(|dimension| {
         let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
         let is_inside = outer.contains(inner.low()) && outer.contains(inner.high());
         let field = dimension.field();
-        (!is_inside).then(|| Elsewhere::Outside { field, value: inner.low(), range: [outer.low(), outer.high()] })
+        (!is_inside).then(|| ScenarioMismatch::Outside { field, value: inner.low(), range: [outer.low(), outer.high()] })
     });
     outside.map_or(Ok(()), Err)
 }
@@ -158,23 +158,23 @@ pub fn lies_within(certificate: &Certificate, scenario: &Scenario, policy: Optio
 /// Counts the vehicles at the rear of a certificate's own scenario that its scene leaves out; none where the certificate has no scene or
 /// holds no scenario.
 #[must_use]
-pub fn left_out(certificate: &Certificate) -> Option<usize> {
+pub fn count_omitted_vehicles(certificate: &Certificate) -> Option<usize> {
     let scene = certificate.statement.scene()?;
     let in_scene = 1 + scene.egos.len() + usize::from(scene.follower.is_some());
     scenario_of(certificate).ok()?.vehicles().len().checked_sub(in_scene)
 }
 
-fn differs(field: &'static str, problem: &'static str) -> Unbound {
-    Unbound::Differs { field, problem }
+fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
+    BindingError::Differs { field, problem }
 }
 
-fn other_scene() -> Unbound {
+fn scene_mismatch() -> BindingError {
     differs("statement", "is not about the scenario, or box around it, of `provenance`")
 }
 
-fn scenario_of(certificate: &Certificate) -> Result<Scenario, Unbound> {
+fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
     let text = certificate.provenance.scenario_text.as_ref();
-    let text = text.ok_or(Unbound::Missing { field: "provenance.scenario_text" })?;
+    let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
     let scenario = file::from_toml(text, Path::new("provenance.scenario_text"))?;
     if scenario.spec().name == certificate.provenance.scenario {
         Ok(scenario)
@@ -183,36 +183,36 @@ fn scenario_of(certificate: &Certificate) -> Result<Scenario, Unbound> {
     }
 }
 
-fn is_same_run(claim: &Reach, starts: &Starts) -> bool {
+fn is_same_run(claim: &Reach, starts: &InitialSet) -> bool {
     (claim.step_s, claim.steps) == (starts.step_s, starts.steps)
         && (claim.follower_ttc_s, claim.follower_law.as_deref())
             == (starts.follower_ttc_s, starts.follower_law.as_ref())
 }
 
-const BOX_TEXT: &str = "provenance.box_text";
+const BOX_TEXT_FIELD: &str = "provenance.box_text";
 
 /// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
-fn may_drive(policy: Option<&[u8]>, starts: &Starts) -> bool {
+fn can_execute_policy(policy: Option<&[u8]>, starts: &InitialSet) -> bool {
     policy.and_then(|bytes| Actor::from_bytes(bytes).ok()).is_some_and(|actor| starts.allows(actor.action_mps2))
 }
 
-fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) -> Result<(), Unbound> {
+fn check_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) -> Result<(), BindingError> {
     let scenario = scenario_of(certificate)?;
     let text = certificate.provenance.box_text.as_ref();
-    let text = text.ok_or(Unbound::Missing { field: BOX_TEXT })?;
-    let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT))?;
+    let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
+    let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
     if spec.scenario != certificate.provenance.scenario {
-        return Err(differs(BOX_TEXT, "is around another scenario"));
+        return Err(differs(BOX_TEXT_FIELD, "is around another scenario"));
     }
-    let starts = Starts::new(&scenario, &spec)?;
+    let starts = InitialSet::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)
         || claim.ranges != starts.ranges
         || claim.observation_error != spec.observation_error
         || claim.leader_brakes_at_most_mps2 != starts.leader_brakes_at_most_mps2
     {
-        return Err(other_scene());
+        return Err(scene_mismatch());
     }
-    if may_drive(policy, &starts) {
+    if can_execute_policy(policy, &starts) {
         Ok(())
     } else {
         Err(differs("policy_file", "asks for more than the vehicle can do"))
@@ -220,9 +220,9 @@ fn is_of_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) ->
 }
 
 /// The space of a registration, from the text in the certificate.
-pub(super) fn space_of(certificate: &Certificate) -> Result<Space, Unbound> {
+pub(super) fn read_space(certificate: &Certificate) -> Result<Space, BindingError> {
     let text = certificate.provenance.scenario_text.as_ref();
-    let text = text.ok_or(Unbound::Missing { field: "provenance.scenario_text" })?;
+    let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
     let space = space::file::from_toml(text, Path::new("provenance.scenario_text"))?;
     if space.name() == certificate.provenance.scenario {
         Ok(space)
@@ -232,11 +232,11 @@ pub(super) fn space_of(certificate: &Certificate) -> Result<Space, Unbound> {
 }
 
 /// The plan that a registration is of, if `controllers` are its controllers.
-pub(super) fn plan_of(
+pub(super) fn rebuild_plan(
     certificate: &Certificate,
     registration: &Registration,
     (controller, against): (NamedController, Option<NamedController>),
-) -> Result<RatePlan, Unbound> {
+) -> Result<RatePlan, BindingError> {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
     let estimator = estimator.ok_or_else(|| differs("registration.configuration.estimator", "is none there is"))?;
@@ -258,7 +258,7 @@ pub(super) fn built_in_controllers(registration: &Registration) -> Option<(Named
     }
 }
 
-fn is_registered(certificate: &Certificate, registration: &Registration) -> Result<(), Unbound> {
+fn check_registration(certificate: &Certificate, registration: &Registration) -> Result<(), BindingError> {
     let space = space_of(certificate)?;
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let text = space::file::to_toml(&space).unwrap_or_default();

@@ -10,22 +10,22 @@ use libm::{exp, log, log1p};
 
 /// How far an end is moved outwards on the scale of log-odds: more than is lost to rounding, of which `ends_are_never_inside` shows how
 /// much that is.
-const OUTWARDS: f64 = 1e-12;
+const ROUNDING_MARGIN: f64 = 1e-12;
 
 /// The rate at which `failures` or fewer of `runs` have the probability `tail`, from above: 1 if there is none below.
-pub(super) fn upper(failures: u64, runs: u64, tail: f64) -> f64 {
-    log_odds(failures, runs, tail).map_or(1.0, |odds| 1.0 / (1.0 + exp(-(odds + OUTWARDS))))
+pub(super) fn clopper_pearson_upper(failures: u64, runs: u64, tail: f64) -> f64 {
+    solve_log_odds(failures, runs, tail).map_or(1.0, |odds| 1.0 / (1.0 + exp(-(odds + ROUNDING_MARGIN))))
 }
 
 /// The rate at which `failures` or more of `runs` have the probability `tail`, from below: 0 if there is none above.
-pub(super) fn lower(failures: u64, runs: u64, tail: f64) -> f64 {
+pub(super) fn clopper_pearson_lower(failures: u64, runs: u64, tail: f64) -> f64 {
     // As many successes or fewer, at the rate of successes.
-    let odds = log_odds(runs.saturating_sub(failures), runs, tail);
-    odds.map_or(0.0, |odds| 1.0 / (1.0 + exp(odds + OUTWARDS)))
+    let odds = solve_log_odds(runs.saturating_sub(failures), runs, tail);
+    odds.map_or(0.0, |odds| 1.0 / (1.0 + exp(odds + ROUNDING_MARGIN)))
 }
 
 /// The log-odds at which X <= k has a probability; none if it has at all rates, or that is no probability.
-fn log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
+fn solve_log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
     if k >= n || !(tail > 0.0 && tail < 1.0) {
         return None;
     }
@@ -34,7 +34,7 @@ fn log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
     let mut odds = log((k as f64 + 2.0 / 3.0) / (left - 1.0 / 3.0));
     for step in 0..MOST_STEPS {
         let [p, q] = [1.0 / (1.0 + exp(-odds)), 1.0 / (1.0 + exp(odds))];
-        let (ln_mass, ln_tail) = (ln_mass(k, n, p, q), ln_at_most(k, n, p, q));
+        let (ln_mass, ln_tail) = (ln_mass(k, n, p, q), ln_cdf(k, n, p, q));
         let slope = -left * p * exp(ln_mass - ln_tail);
         let next = odds - (ln_tail - wanted) / slope;
         // From the second one on they go down, until nothing but rounding is left.
@@ -47,10 +47,10 @@ fn log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
 }
 
 /// More than it takes: the distance is squared at each.
-const MOST_STEPS: u32 = 100;
+const MAX_STEPS: u32 = 100;
 
 /// ln P(X <= k), by the smaller one of both tails.
-fn ln_at_most(k: u64, n: u64, p: f64, q: f64) -> f64 {
+fn ln_cdf(k: u64, n: u64, p: f64, q: f64) -> f64 {
     let is_low = (k as f64) < n as f64 * p;
     if is_low {
         return ln_mass(k, n, p, q) + log(terms(k, n, p, q));
@@ -61,7 +61,7 @@ fn ln_at_most(k: u64, n: u64, p: f64, q: f64) -> f64 {
 }
 
 /// P(X <= k) in units of P(X = k), for k that is not above the mean.
-fn terms(k: u64, n: u64, p: f64, q: f64) -> f64 {
+fn cdf_to_pmf_ratio(k: u64, n: u64, p: f64, q: f64) -> f64 {
     let (odds, mut term, mut sum) = (q / p, 1.0, 1.0);
     // C(n, i-1)/C(n, i) = i/(n - i + 1).
     for i in (1..=k).rev() {
@@ -76,7 +76,7 @@ fn terms(k: u64, n: u64, p: f64, q: f64) -> f64 {
 }
 
 /// ln P(X = k).
-fn ln_mass(k: u64, n: u64, p: f64, q: f64) -> f64 {
+fn ln_pmf(k: u64, n: u64, p: f64, q: f64) -> f64 {
     let [x, y, all] = [k, n - k, n].map(|count| count as f64);
     match (k, n - k) {
         (0, _) => all * if p < 0.5 { log1p(-p) } else { log(q) },

@@ -6,7 +6,7 @@ use crumple_core::digest::Sha256;
 use crumple_world::sim::{FailedController, Outcome, Simulated, Unanswered};
 
 /// What begins the bytes of which a block's hash is made.
-const HASHED: &str = "crumple runs 2\n";
+const HASH_PREFIX: &str = "crumple runs 2\n";
 
 /// What was counted in a block of runs.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -29,15 +29,15 @@ pub struct CountedBlock {
 }
 
 /// What came of a run, for hashing: how it ended, when, and the smallest gap, as bits.
-pub(super) struct Ending {
+pub(super) struct RunFingerprint {
     failed: bool,
     /// Why the controller gave no answer, if it gave none.
     unanswered: Option<String>,
     bytes: [u8; 17],
 }
 
-impl Ending {
-    pub(super) fn of(result: &Simulated) -> Self {
+impl RunFingerprint {
+    pub(super) fn new(result: &Simulated) -> Self {
         let (kind, at_s) = match &result.outcome {
             Outcome::NoCollision => (0, 0.0),
             Outcome::Collision(contact) => (1, contact.time_s),
@@ -52,18 +52,18 @@ impl Ending {
     }
 }
 
-impl Ending {
+impl RunFingerprint {
     /// Whether the controller failed.
-    pub(super) fn failed(&self) -> bool {
+    pub(super) fn is_failure(&self) -> bool {
         self.failed
     }
 }
 
 impl CountedBlock {
     /// Counts runs, each with how it ended for each controller, beginning with run number `first` of a registration.
-    pub(super) fn of<'a>(registered: &str, first: u64, runs: impl Iterator<Item = Vec<&'a Ending>>) -> Self {
+    pub(super) fn from_runs<'a>(registered: &str, first: u64, runs: impl Iterator<Item = Vec<&'a RunFingerprint>>) -> Self {
         let mut block = Self::default();
-        let mut hash = Sha256::default().with(HASHED).with(registered).with(first.to_le_bytes());
+        let mut hash = Sha256::default().with(HASH_PREFIX).with(registered).with(first.to_le_bytes());
         for endings in runs {
             endings.iter().for_each(|ending| hash.update(ending.bytes));
             let silent = [&mut block.unanswered, &mut block.other_unanswered];

@@ -2,7 +2,7 @@
 
 use super::{Confirmation, Unbound, bound, left_out};
 use crumple_core::quoted::Terminal;
-use crumple_verify::certificate::COUNTS_ARE_THE_MAKERS_WORD;
+use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
 use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_with};
 use crumple_world::scenario::space::{built_in_space, file as space_file};
 use crumple_world::scenario::{built_in, file};
@@ -18,16 +18,16 @@ pub struct CertificateReport<'a> {
     /// Accepted statement, or the reason for the rejection.
     pub accepted: Result<Accepted, String>,
     /// Strength of the counts, if the statement rests on counts.
-    pub counts: Option<Counts>,
+    pub counts: Option<CountsStatus>,
     /// Reason why the certificate is not about the requested scenario, if one was requested.
-    pub about: Option<Result<(), String>>,
+    pub covers_scenario: Option<Result<(), String>>,
 }
 
 /// Strength of the counts of a certificate.
 #[derive(Debug)]
-pub enum Counts {
+pub enum CountsStatus {
     /// No run was made again.
-    MakersWord,
+    Unconfirmed,
     /// Some or all runs were made again, with the stated results.
     Confirmed {
         /// Runs that were made again.
@@ -42,7 +42,7 @@ pub enum Counts {
     },
 }
 
-impl Counts {
+impl CountsStatus {
     fn name(&self) -> &'static str {
         match self {
             Self::MakersWord => "makers_word",
@@ -52,9 +52,9 @@ impl Counts {
         }
     }
 
-    fn words(&self) -> String {
+    fn summary(&self) -> String {
         match self {
-            Self::MakersWord => COUNTS_ARE_THE_MAKERS_WORD.to_owned(),
+            Self::MakersWord => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
             Self::Refuted { because } => format!("counted again, and refuted: {because}"),
             Self::Confirmed { confirmation, .. } if confirmation.is_whole() => format!(
                 "confirmed: all {} runs were drawn and simulated again here, and each ended as it is said to",
@@ -84,9 +84,9 @@ impl Counts {
 }
 
 /// How surely a confirmation would have caught a maker of one, of a hundredth and of a tenth of all runs.
-fn catches(confirmation: &Confirmation) -> [(u64, f64); 3] {
+fn detection_probabilities(confirmation: &Confirmation) -> [(u64, f64); 3] {
     [1, confirmation.of_runs.div_ceil(100), confirmation.of_runs.div_ceil(10)]
-        .map(|forged| (forged, confirmation.chance_of_catching(forged)))
+        .map(|forged| (forged, confirmation.detection_probability(forged)))
 }
 
 impl<'a> CertificateReport<'a> {
@@ -128,7 +128,7 @@ impl CertificateReport<'_> {
     /// Returns true if the statement is not proved, or its counts are refuted.
     #[must_use]
     pub fn is_rejected(&self) -> bool {
-        self.accepted.is_err() || matches!(self.counts, Some(Counts::Refuted { .. }))
+        self.accepted.is_err() || matches!(self.counts, Some(CountsStatus::Refuted { .. }))
     }
 
     /// The confidence of an accepted bound.
@@ -156,8 +156,8 @@ impl CertificateReport<'_> {
     /// The scope, with the vehicles of its own scenario that the claim leaves out.
     fn scope(&self, accepted: Option<&Accepted>) -> Scope {
         match (left_out(self.certificate), accepted) {
-            (Some(vehicles), _) => self.certificate.scope_beside(accepted, vehicles),
-            (None, Some(accepted)) => self.certificate.scope_of(accepted),
+            (Some(vehicles), _) => self.certificate.scope_with_uncovered_vehicles(accepted, vehicles),
+            (None, Some(accepted)) => self.certificate.scope_with_result(accepted),
             (None, None) => self.certificate.scope(),
         }
     }
@@ -166,7 +166,7 @@ impl CertificateReport<'_> {
         let Self { certificate, accepted, counts, about, .. } = self;
         let path = Terminal(&self.path);
         let mut text = match accepted {
-            Ok(accepted) if matches!(counts, Some(Counts::Refuted { .. })) => {
+            Ok(accepted) if matches!(counts, Some(CountsStatus::Refuted { .. })) => {
                 format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
             }
             Ok(accepted) if let (Some(scenario), Some(Err(why))) = (scenario, about) => {
@@ -264,12 +264,15 @@ struct ReportLine<'a> {
 #[derive(Serialize)]
 struct RerunReport {
     runs: u64,
-    of_runs: u64,
+    #[serde(rename = "of_runs")]
+    total_runs: u64,
     blocks: u64,
-    of_blocks: u64,
+    #[serde(rename = "of_blocks")]
+    total_blocks: u64,
     seed: Option<u64>,
     /// Pairs of a number of forged runs and the least chance of having caught them.
-    catches: [(u64, f64); 3],
+    #[serde(rename = "catches")]
+    detection_probabilities: [(u64, f64); 3],
 }
 
 /// Formats reports as one JSON object a line.
@@ -282,7 +285,7 @@ pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::
     lines.collect()
 }
 
-fn line_of<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
+fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
     let CertificateReport { path, certificate, accepted, counts, about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
@@ -306,11 +309,11 @@ fn line_of<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) ->
     }
     let scope = one.scope(accepted.as_ref().ok());
     let refuted = match counts {
-        Some(Counts::Refuted { because }) => Some(because.clone()),
+        Some(CountsStatus::Refuted { because }) => Some(because.clone()),
         _ => None,
     };
     let rerun = match counts {
-        Some(Counts::Confirmed { confirmation, seed }) => Some(RerunReport {
+        Some(CountsStatus::Confirmed { confirmation, seed }) => Some(RerunReport {
             runs: confirmation.runs,
             of_runs: confirmation.of_runs,
             blocks: confirmation.blocks,
@@ -340,7 +343,7 @@ fn line_of<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) ->
         rate_at_most,
         confidence: one.confidence(),
         joint_confidence: joint_confidence.filter(|_| one.confidence().is_some()),
-        counts: counts.as_ref().map(Counts::name),
+        counts: counts.as_ref().map(CountsStatus::name),
         rerun,
         rejection: accepted.as_ref().err().cloned().or(refuted),
         about_scenario: about.as_ref().map(Result::is_ok),

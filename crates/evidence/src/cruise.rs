@@ -5,7 +5,7 @@
 
 use std::time::Instant;
 
-use crumple_verify::cruise::{self, Cruise, FARTHEST, KEPT, LEAD_MPS2, PERIOD_S, PERIODS, STARTS, TOLD, Unshown};
+use crumple_verify::cruise::{self, Cruise, FARTHEST, KEPT, LEAD_ACCEL_MPS2, PERIOD_S, PERIODS, STARTS, SET_SPEED_AND_TIME_GAP, Unshown};
 use crumple_verify::reach::{Actor, file_name};
 use crumple_verify::{Certificate, Statement};
 use rand::RngExt;
@@ -20,8 +20,8 @@ use crumple_world::policy::Workspace;
 use crumple_world::random::{self, Purpose};
 
 /// Runge-Kutta steps in a period, and starts that are driven together.
-const STEPS: usize = 10;
-const TOGETHER: usize = 500;
+const STEPS_PER_PERIOD: usize = 10;
+const BATCH_SIZE: usize = 500;
 
 /// Why nothing can be said of a network.
 #[derive(Debug, thiserror::Error)]
@@ -35,7 +35,7 @@ pub enum CruiseError {
     Unreadable(String),
     /// Nothing is shown of it.
     #[error(transparent)]
-    Unshown(#[from] Unshown),
+    Unproved(#[from] Unshown),
 }
 
 /// A network in the benchmark.
@@ -47,7 +47,7 @@ pub struct CruisePlan {
 
 /// What is proved.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Proved {
+pub struct CruiseProof {
     /// The statement, unchecked.
     pub certificate: Certificate,
     /// Lower bound of D_rel - 10 - 1.4 v_ego over the whole box and all times, in metres.
@@ -60,7 +60,7 @@ pub struct Proved {
 
 /// What the corners of the box and random starts came to.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Sampled {
+pub struct CruiseSamples {
     /// How many.
     pub samples: usize,
     /// The least D_rel - 10 - 1.4 v_ego, in metres.
@@ -91,7 +91,7 @@ impl CruisePlan {
             absent: None,
         };
         let seen = [Quantity::SpeedMps, Quantity::GapAheadM, Quantity::RelativeSpeedAheadMps];
-        let told = TOLD.map(|constant| input(None, Some(constant)));
+        let told = SET_SPEED_AND_TIME_GAP.map(|constant| input(None, Some(constant)));
         let mapping = Mapping {
             decision_interval_s: Some(PERIOD_S),
             history: 1,
@@ -130,7 +130,7 @@ impl CruisePlan {
     ///
     /// # Errors
     /// [`CruiseError`] if bounds become too wide.
-    pub fn prove(&self, cells: u32) -> Result<Proved, CruiseError> {
+    pub fn prove(&self, cells: u32) -> Result<CruiseProof, CruiseError> {
         let begin = Instant::now();
         let found = cruise::bounds(&self.actor, cells)?;
         let seconds = begin.elapsed().as_secs_f64();
@@ -147,7 +147,7 @@ impl CruisePlan {
             x_ego_width_m_at_most: (found.x_ego_width_m() * 1e6).ceil() / 1e6,
         };
         let certificate = certificate(Statement::AdaptiveCruise(claim));
-        Ok(Proved { certificate, margin_m: found.margin_m, x_ego_m: found.x_ego_m, seconds })
+        Ok(CruiseProof { certificate, margin_m: found.margin_m, x_ego_m: found.x_ego_m, seconds })
     }
 
     /// Drives from the corners of the box and from random starts, the same for the same seed.
@@ -174,20 +174,20 @@ impl CruisePlan {
 }
 
 /// Drives from starts (x_lead, v_lead, x_ego, v_ego).
-fn simulated(network: &FeedForward, starts: &[[f64; 4]]) -> Sampled {
+fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> Sampled {
     let mut cars: Vec<[[f64; 3]; 2]> =
         starts.iter().map(|[x_lead, v_lead, x_ego, v_ego]| [[*x_lead, *v_lead, 0.0], [*x_ego, *v_ego, 0.0]]).collect();
     let margin = |[lead, ego]: &[[f64; 3]; 2]| lead[0] - ego[0] - KEPT[0] - KEPT[1] * ego[1];
     let mut least = cars.iter().map(margin).fold(f64::INFINITY, f64::min);
     let mut space = Workspace::default();
     for _ in 0..PERIODS {
-        let see = |[lead, ego]: &[[f64; 3]; 2]| [TOLD[0], TOLD[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]];
+        let see = |[lead, ego]: &[[f64; 3]; 2]| [SET_SPEED_AND_TIME_GAP[0], SET_SPEED_AND_TIME_GAP[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]];
         let rows: Vec<f32> = cars.iter().flat_map(see).map(|number| number as f32).collect();
         let answers = network.answers(&rows, cars.len(), &mut space);
         for (cars, &answer) in cars.iter_mut().zip(answers) {
             for _ in 0..STEPS {
                 let [lead, ego] = cars;
-                *lead = stepped(*lead, LEAD_MPS2);
+                *lead = stepped(*lead, LEAD_ACCEL_MPS2);
                 *ego = stepped(*ego, f64::from(answer));
                 least = least.min(margin(cars));
             }
@@ -199,7 +199,7 @@ fn simulated(network: &FeedForward, starts: &[[f64; 4]]) -> Sampled {
 }
 
 /// (x, v, γ) a step later.
-fn stepped(from: [f64; 3], a: f64) -> [f64; 3] {
+fn runge_kutta_step(from: [f64; 3], a: f64) -> [f64; 3] {
     let h = PERIOD_S / STEPS as f64;
     let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - cruise::DRAG * v * v];
     let moved = |by: [f64; 3], h: f64| std::array::from_fn(|i| from[i] + h * by[i]);

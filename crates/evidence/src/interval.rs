@@ -18,7 +18,7 @@ impl RateInterval {
     /// true rate with probability `confidence` or more, whatever that rate is. Its ends are never inside of the exact ones, and outside by
     /// a part in 10¹¹ at most, for up to 10⁹ runs.
     #[must_use]
-    pub fn exact(failures: u64, runs: u64, confidence: f64) -> Self {
+    pub fn clopper_pearson(failures: u64, runs: u64, confidence: f64) -> Self {
         let tail = 0.5 * (1.0 - confidence);
         Self { lower: binomial::lower(failures, runs, tail), upper: binomial::upper(failures, runs, tail) }
     }

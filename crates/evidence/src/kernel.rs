@@ -24,7 +24,7 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
 /// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
 pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
-    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Quotient::of);
+    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::of);
     let (b, c) = (b?, c?);
     let harder = b.minus(c)?;
     Some(certificate(Statement::Kernel(crumple_verify::Kernel {
@@ -40,12 +40,12 @@ pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option
 
 /// A quotient of whole numbers in lowest terms.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Quotient {
-    over: i128,
-    under: i128,
+struct Rational {
+    numerator: i128,
+    denominator: i128,
 }
 
-impl Quotient {
+impl Rational {
     fn new(over: i128, under: i128) -> Option<Self> {
         let (mut a, mut b) = (over.checked_abs()?, under);
         while b != 0 {
@@ -55,14 +55,14 @@ impl Quotient {
     }
 
     /// A positive number as it is printed.
-    fn of(value: f64) -> Option<Self> {
+    fn from_f64(value: f64) -> Option<Self> {
         let text = (value > 0.0 && value.is_finite()).then(|| value.to_string())?;
         let (whole, places) = text.split_once('.').unwrap_or((&text, ""));
         let ten = 10_i128.checked_pow(u32::try_from(places.len()).ok()?)?;
         Self::new(format!("{whole}{places}").parse().ok()?, ten)
     }
 
-    fn minus(self, other: Self) -> Option<Self> {
+    fn checked_sub(self, other: Self) -> Option<Self> {
         let (a, b) = (self.over.checked_mul(other.under)?, other.over.checked_mul(self.under)?);
         Self::new(a.checked_sub(b)?, self.under.checked_mul(other.under)?)
     }
@@ -73,7 +73,7 @@ impl Quotient {
     }
 }
 
-impl std::fmt::Display for Quotient {
+impl std::fmt::Display for Rational {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { over, under } = self;
         if *under == 1 { write!(out, "{over}") } else { write!(out, "{over}/{under}") }

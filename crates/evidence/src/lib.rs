@@ -8,12 +8,12 @@ mod binomial;
 mod block;
 mod certificate_report;
 mod cruise;
-pub mod exposed;
+pub mod exposure;
 pub mod fit;
 mod interval;
 mod kernel;
 mod paired;
-mod planned;
+mod planning;
 pub mod rare;
 mod rate;
 mod rate_folder;
@@ -23,21 +23,21 @@ mod reach;
 mod record;
 mod rerun;
 mod script;
-mod starts;
+mod initial_set;
 
-pub use binding::{Elsewhere, Unbound, bound, left_out, lies_within};
+pub use binding::{ScenarioMismatch, Unbound, bound, left_out, lies_within};
 pub use block::CountedBlock;
-pub use certificate_report::{CertificateReport, Counts, report_json, report_text};
+pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use cruise::{CruiseError, CruisePlan, Proved, Sampled};
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::Discordant;
-pub use planned::{CannotPlan, runs_for};
+pub use planning::{SampleSizeError, runs_for};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
 pub use rate_merge::{MergedCount, SoFar};
-pub use rate_shard::{RateShard, SHARD_OF_A_COUNT};
-pub use reach::{BoxSpec, Doubts, InvalidBox, MOST_BOXES, Partition, RangesSpec, ReachPlan, Shares, checker_file};
+pub use rate_shard::{RateShard, COUNT_SHARD_KIND};
+pub use reach::{BoxSpec, UndecidedCounts, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, VolumeShares, checker_file};
 pub use record::{CountRecord, Tally};
 pub use rerun::{Confirmation, Rerun, RerunError, Sample};
 
@@ -46,6 +46,6 @@ use crumple_verify::{Certificate, Statement};
 use crumple_search::worst_case::certificate_about;
 
 /// A statement about no scenario as a certificate of this program, with the assumptions it needs.
-fn certificate(statement: Statement) -> Certificate {
+fn certificate_without_scenario(statement: Statement) -> Certificate {
     certificate_about(String::new(), None, None, statement)
 }

@@ -10,14 +10,16 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 /// sampling error of the difference between correlated proportions or percentages", Psychometrika 12, 153-157.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Discordant {
+pub struct DiscordantPairs {
     /// Draws that only the second fails.
-    pub new: u64,
+    #[serde(rename = "new")]
+    pub only_second_fails: u64,
     /// Draws that only the first fails.
-    pub fixed: u64,
+    #[serde(rename = "fixed")]
+    pub only_first_fails: u64,
 }
 
-impl Discordant {
+impl DiscordantPairs {
     /// Probability of so many new failures or more, were the second controller no worse than the first.
     #[must_use]
     pub fn p_value(&self) -> f64 {
@@ -39,20 +41,20 @@ mod tests {
 
     #[test]
     fn by_hand() {
-        let p = |new, fixed| Discordant { new, fixed }.p_value();
+        let p = |new, fixed| DiscordantPairs { new, fixed }.p_value();
         // 1, 4, 6, 4, 1 of 16.
         for (new, of_16) in [(0, 16.0), (1, 15.0), (2, 11.0), (3, 5.0), (4, 1.0)] {
             assert!((p(new, 4 - new) - of_16 / 16.0).abs() < 1e-12, "{new}");
         }
         assert_eq!(p(0, 0), 1.0);
-        assert!(!Discordant { new: 6, fixed: 0 }.is_worse(0.01) && Discordant { new: 7, fixed: 0 }.is_worse(0.01));
+        assert!(!DiscordantPairs { new: 6, fixed: 0 }.is_worse(0.01) && DiscordantPairs { new: 7, fixed: 0 }.is_worse(0.01));
     }
 
     proptest! {
         /// More new failures are never less significant, and more that are fixed never more.
         #[test]
         fn is_monotone(new in 0..4000_u64, fixed in 0..4000_u64) {
-            let p = |new, fixed| Discordant { new, fixed }.p_value();
+            let p = |new, fixed| DiscordantPairs { new, fixed }.p_value();
             prop_assert!((0.0..=1.0).contains(&p(new, fixed)));
             prop_assert!(p(new + 1, fixed) <= p(new, fixed) + 1e-9 && p(new, fixed + 1) >= p(new, fixed) - 1e-9);
         }

@@ -8,7 +8,7 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, Ending};
-use super::exposed::{ExposedRate, Part, Probability, run_again};
+use super::exposure::{ExposedRate, Part, FailureProbability, run_again};
 use super::record::{CountRecord, Tally, length};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Counter, Observer, Progress, Quiet, Stopped};
@@ -21,15 +21,15 @@ use crumple_world::sim::{
 };
 
 /// Runs that are drawn and simulated together, or some more.
-const TOGETHER: u64 = 1000;
+const BATCH_SIZE: u64 = 1000;
 /// A block of runs that has a hash is no shorter than this...
-const SHORTEST_BLOCK: u64 = 100;
+const MIN_BLOCK_RUNS: u64 = 100;
 /// ... and there are no more than this, ...
-const MOST_BLOCKS: u64 = 1000;
+const MAX_BLOCKS: u64 = 1000;
 /// ... but for more runs than this, which no machine counts alone, ...
-const MANY_RUNS: u64 = 100_000_000;
+const LARGE_COUNT_RUNS: u64 = 100_000_000;
 /// ... of which there are so many blocks, as many as a certificate may hold.
-const MANY_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
+const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
 
 /// Progress of a count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,7 +44,7 @@ pub struct CountProgress {
 
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
-    drivers: Vec<NamedController>,
+    controllers: Vec<NamedController>,
     space: Space,
     seed: u64,
     estimator: EstimatorKind,
@@ -54,7 +54,7 @@ pub struct RatePlan {
 }
 
 /// Resamples of the episodes that a space was fitted to, and new runs in each, if nobody says otherwise.
-const RESAMPLING: (u32, u32) = (200, 500);
+const DEFAULT_RESAMPLING: (u32, u32) = (200, 500);
 
 /// What a plan is made of.
 pub struct RateConfig {
@@ -101,7 +101,7 @@ pub enum InvalidRate {
     },
     /// A space without anybody whose failures could be counted.
     #[error("the space `{space}` has no vehicle under test")]
-    NobodyUnderTest {
+    NoVehicleUnderTest {
         /// The space.
         space: String,
     },
@@ -208,11 +208,11 @@ impl RatePlan {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }
         }
-        let blocks = if runs > MANY_RUNS { MANY_BLOCKS } else { MOST_BLOCKS };
-        let block_runs = runs.div_ceil(blocks).max(SHORTEST_BLOCK);
+        let blocks = if runs > LARGE_COUNT_RUNS { MAX_LARGE_COUNT_BLOCKS } else { MOST_BLOCKS };
+        let block_runs = runs.div_ceil(blocks).max(MIN_BLOCK_RUNS);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
         let record = CountRecord { registration, space_text };
-        Ok(Self { drivers, space, seed, estimator, resampling: RESAMPLING, record })
+        Ok(Self { drivers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
     }
 
     /// Sets the number of resamples of the episodes that the space was fitted to, and the number of new runs in each. They say nothing about
@@ -226,7 +226,7 @@ impl RatePlan {
     /// much driving it was seen.
     #[must_use]
     pub fn resampling(&self) -> Option<(u32, u32)> {
-        (self.is_of_one() && self.space.spec().exposure.is_some()).then_some(self.resampling)
+        (self.has_single_controller() && self.space.spec().exposure.is_some()).then_some(self.resampling)
     }
 
     /// What must be on record before the first run.
@@ -243,7 +243,7 @@ impl RatePlan {
 
     /// Nothing counted yet.
     #[must_use]
-    pub fn tally(&self) -> Tally {
+    pub fn empty_tally(&self) -> Tally {
         self.record.tally()
     }
 
@@ -251,16 +251,16 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
-    pub fn count_block(&self, tally: &mut Tally) -> Result<(), RateError> {
-        self.count_next(&(0..self.blocks()), tally, &Quiet)
+    pub fn count_batch(&self, tally: &mut Tally) -> Result<(), RateError> {
+        self.count_batch_in(&(0..self.blocks()), tally, &Quiet)
     }
 
-    /// Counts as [`Self::count_block`] does, for a tally of consecutive blocks. After every thousand runs, `observer` receives the counts
+    /// Counts as [`Self::count_batch`] does, for a tally of consecutive blocks. After every thousand runs, `observer` receives the counts
     /// from before this call. If it stops the count, runs may have ended early, and none of this call is counted.
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the count. `tally` does not change then.
-    pub(super) fn count_next(
+    pub(super) fn count_batch_in(
         &self,
         part: &Range<u64>,
         tally: &mut Tally,
@@ -281,7 +281,7 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer blocks than shards.
-    pub fn blocks_of(&self, shard: Shard) -> Result<Range<u64>, TooManyShards> {
+    pub fn shard_blocks(&self, shard: Shard) -> Result<Range<u64>, TooManyShards> {
         shard.range(self.blocks(), "blocks of runs")
     }
 
@@ -291,19 +291,19 @@ impl RatePlan {
     }
 
     /// Whether it is of one controller.
-    pub(super) fn is_of_one(&self) -> bool {
+    pub(super) fn has_single_controller(&self) -> bool {
         self.drivers.len() == 1
     }
 
     /// How many blocks there are.
     #[must_use]
-    pub fn blocks(&self) -> u64 {
+    pub fn block_count(&self) -> u64 {
         self.record.blocks()
     }
 
     /// The runs of a block.
     #[must_use]
-    pub fn runs_of(&self, block: u64) -> Range<u64> {
+    pub fn run_range(&self, block: u64) -> Range<u64> {
         self.record.runs_of(block..block.saturating_add(1))
     }
 
@@ -311,12 +311,12 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run.
-    pub fn count_again(&self, block: u64) -> Result<CountedBlock, RateError> {
+    pub fn recount_block(&self, block: u64) -> Result<CountedBlock, RateError> {
         Ok(self.count(self.runs_of(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
     /// Counts runs, the first of which begins a block: a count for each block. Calls `go_on` after every thousand runs.
-    fn count(&self, runs: Range<u64>, go_on: &dyn Fn() -> Result<(), Stopped>) -> Result<Vec<CountedBlock>, RateError> {
+    fn count_runs(&self, runs: Range<u64>, go_on: &dyn Fn() -> Result<(), Stopped>) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
         let mut endings: Vec<Vec<Ending>> = self.drivers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
         for some in indices.chunks(TOGETHER as usize) {
@@ -340,17 +340,17 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the runs in resamples.
-    pub fn exposed(&self, tally: &Tally, observer: &dyn Observer<Progress>) -> Result<Option<ExposedRate>, RateError> {
+    pub fn rate_per_exposure(&self, tally: &Tally, observer: &dyn Observer<Progress>) -> Result<Option<ExposedRate>, RateError> {
         let counter = Counter::new(observer, None);
         let Some(resampling) = self.resampling() else { return Ok(None) };
         let mut failures = |space: &Space, seed: u64, runs: u64| self.failures(space, (seed, runs), &counter);
         let resamples = run_again(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
-        let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
+        let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(ExposedRate::of(&self.space, known, resamples.as_ref()))
     }
 
     /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
-    pub(super) fn resampled(&self, own: Range<u64>, counter: &Counter<'_>) -> Result<Vec<u64>, RateError> {
+    pub(super) fn count_resamples(&self, own: Range<u64>, counter: &Counter<'_>) -> Result<Vec<u64>, RateError> {
         let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
         let mut part = Part::of(own);
         let mut failures =
@@ -361,7 +361,7 @@ impl RatePlan {
     }
 
     /// How many of so many runs fail in a space, with a seed.
-    fn failures(&self, space: &Space, (seed, runs): (u64, u64), counter: &Counter<'_>) -> Result<u64, RateError> {
+    fn count_failures(&self, space: &Space, (seed, runs): (u64, u64), counter: &Counter<'_>) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
         let mut failed = 0;
         for some in indices.chunks(TOGETHER as usize) {
@@ -373,7 +373,7 @@ impl RatePlan {
     }
 
     /// How runs end, of each controller.
-    fn endings(&self, space: &Space, seed: u64, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
+    fn simulate_fingerprints(&self, space: &Space, seed: u64, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
         let draw = |&index: &u64| space.draw(seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {
@@ -385,7 +385,7 @@ impl RatePlan {
             Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
         };
         let endings = self.drivers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
-        self.drivers.iter().try_for_each(NamedController::not_refused)?;
+        self.drivers.iter().try_for_each(NamedController::ensure_trusted)?;
         Ok(endings)
     }
 
@@ -414,10 +414,10 @@ mod tests {
         .unwrap()
     }
 
-    fn counted(plan: &RatePlan) -> Tally {
+    fn count_all(plan: &RatePlan) -> Tally {
         let mut tally = plan.tally();
         while tally.runs < plan.registration().runs {
-            plan.count_block(&mut tally).unwrap();
+            plan.count_batch(&mut tally).unwrap();
         }
         tally
     }

@@ -17,7 +17,7 @@ use crumple_store::shard::TooManyShards;
 use crumple_store::work::{Asked, Work, WorkError};
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
-const BETWEEN: Duration = Duration::from_secs(1);
+const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Why a count in a folder stops.
 #[derive(Debug, thiserror::Error)]
@@ -25,7 +25,7 @@ const BETWEEN: Duration = Duration::from_secs(1);
 pub enum RateFolderError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    RunFolder(#[from] WorkError),
     /// Another count is registered in the folder: in what it differs.
     #[error("{0}")]
     OtherRegistration(String),
@@ -49,20 +49,20 @@ pub enum RateFolderError {
 
 /// A count that is on record in a folder.
 pub struct RateCount<'a> {
-    work: Work,
-    counting: Counting<'a>,
+    run_folder: Work,
+    block_counter: BlockCounter<'a>,
 }
 
 /// What is being counted: some blocks of a plan that follow each other.
-pub(super) struct Counting<'a> {
+pub(super) struct BlockCounter<'a> {
     plan: &'a RatePlan,
     blocks: Range<u64>,
     tally: Tally,
 }
 
-const REGISTRATION: &str = "registration.json";
-pub(super) const PROGRESS: &str = "progress.json";
-const CERTIFICATE: &str = "certificate.json";
+const REGISTRATION_FILE: &str = "registration.json";
+pub(super) const PROGRESS_FILE: &str = "progress.json";
+const CERTIFICATE_FILE: &str = "certificate.json";
 
 impl RatePlan {
     /// Puts the plan on record in `folder`, which is made if it is not there; where `resume` says so, takes up what was counted
@@ -72,7 +72,7 @@ impl RatePlan {
     /// [`RateFolderError`] if the folder cannot be used, or holds another count, or another build's.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let work = self.record().register_in(folder, resume)?;
-        let counting = Counting::in_folder(self, 0..self.blocks(), &work)?;
+        let counting = BlockCounter::in_folder(self, 0..self.blocks(), &work)?;
         Ok(RateCount { work, counting })
     }
 }
@@ -80,22 +80,22 @@ impl RatePlan {
 impl CountRecord {
     /// Puts it on record.
     fn register_in(&self, folder: &Path, resume: bool) -> Result<Work, RateFolderError> {
-        let path = folder.join(REGISTRATION);
+        let path = folder.join(REGISTRATION_FILE);
         let registration = json(&path, self.registration())?;
         let asked = Asked {
             kind: "count",
             configuration: &registration,
-            configuration_file: REGISTRATION,
+            configuration_file: REGISTRATION_FILE,
             resume,
-            outputs: &[REGISTRATION, PROGRESS, CERTIFICATE],
+            outputs: &[REGISTRATION_FILE, PROGRESS, CERTIFICATE_FILE],
         };
         let work = Work::open(folder, asked).map_err(|error| match error {
             WorkError::OtherConfiguration { path, kind, found } => {
-                RateFolderError::OtherRegistration(difference::in_json(&path, &kind, &found, &registration))
+                RateFolderError::OtherRegistration(difference::describe_json(&path, &kind, &found, &registration))
             }
             other => other.into(),
         })?;
-        work.write(REGISTRATION, registration)?;
+        work.write(REGISTRATION_FILE, registration)?;
         Ok(work)
     }
 
@@ -106,7 +106,7 @@ impl CountRecord {
         let certificate = self.certificate(tally);
         let checked = check(&certificate);
         if checked.is_ok() {
-            work.write(CERTIFICATE, json(&work.path(CERTIFICATE), &certificate)?)?;
+            work.write(CERTIFICATE_FILE, json(&work.path(CERTIFICATE_FILE), &certificate)?)?;
         }
         // Also where nothing is shown: all is counted.
         work.finish()?;
@@ -124,20 +124,20 @@ impl CountRecord {
     pub(super) fn write_in(&self, folder: &Path, tally: &Tally) -> Result<(PathBuf, Certificate), RateFolderError> {
         let work = self.register_in(folder, true)?;
         let path = work.path(PROGRESS);
-        if work.is_complete() && work.read_present(PROGRESS)? != json(&path, tally)?.into_bytes() {
+        if work.is_complete() && work.read_required(PROGRESS)? != json(&path, tally)?.into_bytes() {
             return Err(WorkError::damaged(
                 &path,
                 "there is a count of the same registration that came to something else",
             )
             .into());
         }
-        Ok((work.path(CERTIFICATE), self.finish_in(&work, tally)?))
+        Ok((work.path(CERTIFICATE_FILE), self.finish_in(&work, tally)?))
     }
 }
 
-impl<'a> Counting<'a> {
+impl<'a> BlockCounter<'a> {
     /// What is left of some blocks of a plan, after what is in a folder.
-    pub(super) fn in_folder(plan: &'a RatePlan, blocks: Range<u64>, work: &Work) -> Result<Self, RateFolderError> {
+    pub(super) fn load(plan: &'a RatePlan, blocks: Range<u64>, work: &Work) -> Result<Self, RateFolderError> {
         let tally = match work.read(PROGRESS)? {
             None => plan.tally(),
             Some(bytes) => {
@@ -158,12 +158,12 @@ impl<'a> Counting<'a> {
     }
 
     /// How many runs there are to count, those that were counted among them.
-    pub(super) fn runs(&self) -> u64 {
+    pub(super) fn run_count(&self) -> u64 {
         length(&self.plan.record().runs_of(self.blocks.clone()))
     }
 
     /// How many new runs there are to make in some of the resamples.
-    pub(super) fn runs_in(&self, resamples: &Range<u64>) -> u64 {
+    pub(super) fn resample_run_count(&self, resamples: &Range<u64>) -> u64 {
         let (_, runs_each) = self.plan.resampling().unwrap_or_default();
         length(resamples) * u64::from(runs_each)
     }
@@ -184,7 +184,7 @@ impl<'a> Counting<'a> {
         let path = work.path(PROGRESS);
         let mut written = Instant::now();
         while (self.tally.blocks.len() as u64) < length(&self.blocks) {
-            self.plan.count_next(&self.blocks, &mut self.tally, observer)?;
+            self.plan.count_batch_in(&self.blocks, &mut self.tally, observer)?;
             if written.elapsed() > BETWEEN {
                 work.write(PROGRESS, json(&path, &self.tally)?)?;
                 written = Instant::now();
@@ -200,7 +200,7 @@ impl RateCount<'_> {
     ///
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::Stopped`].
-    pub fn certificate(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
+    pub fn certify(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
         self.counting.count(&self.work, observer)?;
         self.counting.plan.record().finish_in(&self.work, self.tally())
     }
@@ -214,11 +214,11 @@ impl RateCount<'_> {
     /// Where the certificate goes.
     #[must_use]
     pub fn certificate_path(&self) -> PathBuf {
-        self.work.path(CERTIFICATE)
+        self.work.path(CERTIFICATE_FILE)
     }
 }
 
-pub(super) fn json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
+pub(super) fn to_json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
     let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
     Ok(text + "\n")
 }
@@ -244,10 +244,10 @@ mod tests {
     }
 
     /// What was counted of a plan in a folder, as an interruption leaves it.
-    fn interrupted(plan: &RatePlan, change: impl FnOnce(&mut Tally)) -> tempfile::TempDir {
+    fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut Tally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
-        plan.count_block(&mut count.counting.tally).unwrap();
+        plan.count_batch(&mut count.counting.tally).unwrap();
         assert!(count.tally().runs < 1200, "one call does not count them all");
         change(&mut count.counting.tally);
         count.work.write(PROGRESS, json(Path::new(PROGRESS), count.tally()).unwrap()).unwrap();
@@ -265,7 +265,7 @@ mod tests {
         let other = "registration.json: the count there has another `configuration.seed`: \"3\" instead of \"4\"";
         assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
         plan.register_in(part.path(), true).unwrap().certificate(&Quiet).unwrap();
-        for name in [REGISTRATION, PROGRESS, CERTIFICATE, crumple_store::work::MANIFEST] {
+        for name in [REGISTRATION_FILE, PROGRESS, CERTIFICATE_FILE, crumple_store::work::MANIFEST] {
             let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
             assert_eq!(read(part.path()), read(whole.path()), "{name}");
         }

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::exposed::own_resamples;
-use super::rate_folder::{Counting, PROGRESS, RateFolderError};
+use super::exposure::own_resamples;
+use super::rate_folder::{BlockCounter, PROGRESS, RateFolderError};
 use super::record::{CountRecord, Tally, length};
 use super::{CountProgress, RatePlan};
 use crumple_core::observer::{Counter, Observer, Progress};
@@ -14,13 +14,13 @@ use crumple_store::shard::{Mergeable, Shard, Sharded, open_shard};
 use crumple_store::work::Work;
 
 /// What a folder of one is called in its `work.json`.
-pub const SHARD_OF_A_COUNT: &str = "shard of a count";
+pub const COUNT_SHARD_KIND: &str = "shard of a count";
 
 /// A shard of a count that is on record in a folder.
 pub struct RateShard<'a> {
-    work: Work,
-    counting: Counting<'a>,
-    own_resamples: Range<u64>,
+    run_folder: Work,
+    block_counter: BlockCounter<'a>,
+    resample_range: Range<u64>,
 }
 
 /// Everything that decides a count that is divided.
@@ -33,7 +33,7 @@ pub struct ShardedCount {
 }
 
 impl Sharded for ShardedCount {
-    const KIND: &'static str = SHARD_OF_A_COUNT;
+    const KIND: &'static str = COUNT_SHARD_KIND;
     const VERSION: u32 = 1;
     const RESULTS: &'static str = PROGRESS;
     const PARTS: &'static str = "blocks of runs";
@@ -90,12 +90,12 @@ impl RatePlan {
         folder: &Path,
         resume: bool,
     ) -> Result<RateShard<'_>, RateFolderError> {
-        let blocks = self.blocks_of(shard)?;
+        let blocks = self.shard_blocks(shard)?;
         let resampling = self.resampling();
         let own_resamples = own_resamples(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.blocks());
         let sharded = ShardedCount { count: self.record().clone(), resampling };
         let work = open_shard(&sharded, shard, folder, resume)?;
-        let counting = Counting::in_folder(self, blocks, &work)?;
+        let counting = BlockCounter::in_folder(self, blocks, &work)?;
         Ok(RateShard { work, counting, own_resamples })
     }
 }
@@ -125,13 +125,13 @@ impl RateShard<'_> {
     }
 
     #[cfg(test)]
-    pub(super) fn work(&self) -> &Work {
+    pub(super) fn run_folder(&self) -> &Work {
         &self.work
     }
 
     /// How many runs it takes, those in resamples among them.
     #[must_use]
-    pub fn runs(&self) -> u64 {
-        self.counting.runs() + self.counting.runs_in(&self.own_resamples)
+    pub fn run_count(&self) -> u64 {
+        self.counting.runs() + self.counting.resample_run_count(&self.own_resamples)
     }
 }

@@ -7,13 +7,13 @@
 use std::path::Path;
 use std::time::Instant;
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Doubt, Ranges, Reach, Reached, Scene, file_name, reach};
+use crumple_verify::reach::{Actor, Cell, Dimension, Undecided, Ranges, Reach, Reached, Scene, file_name, reach};
 use crumple_verify::{Certificate, Interval, Rejection, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::starts::Starts;
+use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, Stopped};
 use crumple_search::worst_case::certificate_about;
@@ -29,7 +29,7 @@ use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError,
 /// Covers what a simulator in double precision rounds, in metres, m/s and m/s².
 const ROUNDING: f64 = 1e-9;
 /// Random starts simulated in each box that remains undecided.
-const STARTS: u64 = 16;
+const SAMPLES_PER_BOX: u64 = 16;
 
 /// A box of starts as a file states it: a scenario, and ranges of what differs from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,7 +56,7 @@ pub struct BoxSpec {
     pub ranges: RangesSpec,
 }
 
-fn exact() -> [f64; 8] {
+fn default_observation_error() -> [f64; 8] {
     [ROUNDING; 8]
 }
 
@@ -108,7 +108,7 @@ pub enum InvalidBox {
 }
 
 /// Most boxes that one is cut into: 300 MB of memory, and as much as the checker takes on. The rest stays undecided.
-pub const MOST_BOXES: usize = 1_000_000;
+pub const MAX_BOXES: usize = 1_000_000;
 
 /// What is to be cut.
 pub struct ReachPlan {
@@ -125,7 +125,7 @@ pub struct ReachPlan {
 
 /// How much of the box is known once it is cut so often.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Shares {
+pub struct VolumeShares {
     /// Number of cuts of one box at most.
     pub depth: u32,
     /// Share of the volume in which no vehicles touch.
@@ -142,7 +142,7 @@ pub struct Shares {
 
 /// How many of the boxes that remain are undecided, and why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Doubts {
+pub struct UndecidedCounts {
     /// The leader may be touched.
     pub ahead: usize,
     /// The follower may touch.
@@ -157,17 +157,17 @@ pub struct Partition {
     /// The statement, unchecked.
     pub certificate: Certificate,
     /// One entry for each depth.
-    pub shares: Vec<Shares>,
+    pub shares: Vec<VolumeShares>,
     /// Why the rest is undecided.
-    pub doubts: Doubts,
+    pub undecided: UndecidedCounts,
 }
 
-struct Node {
+struct PartitionNode {
     ranges: Ranges,
     cell: Cell,
     /// Number of the lower half; the upper half is the next one.
-    halves: Option<usize>,
-    reached: Option<Reached>,
+    first_child: Option<usize>,
+    result: Option<Reached>,
 }
 
 impl BoxSpec {
@@ -223,12 +223,12 @@ impl ReachPlan {
             let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
             scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(of_start)?;
         }
-        let starts = Starts::new(&scenario, spec)?;
+        let starts = InitialSet::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
         let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
         if !starts.allows(actor.action_mps2) {
-            return Err(asks_for_too_much(actor.action_mps2, starts.able_mps2(), &controller));
+            return Err(excessive_command_error(actor.action_mps2, starts.able_mps2(), &controller));
         }
         let digest = sha256(&bytes);
         let claim = Reach {
@@ -268,15 +268,15 @@ impl ReachPlan {
         &self.claim.policy_file
     }
 
-    /// Cuts undecided boxes, each at most `depth` times and up to [`MOST_BOXES`] in all. Reports each completed depth.
+    /// Cuts undecided boxes, each at most `depth` times and up to [`MAX_BOXES`] in all. Reports each completed depth.
     ///
     /// # Errors
     /// [`InvalidBox`] if a start of the box is no scenario, or `observer` stops the work.
-    pub fn partition(&self, depth: u32, observer: &dyn Observer<Shares>) -> Result<Partition, InvalidBox> {
+    pub fn partition(&self, depth: u32, observer: &dyn Observer<VolumeShares>) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
         let mut scene = self.claim.scene(&self.actor).map_err(of_rejected)?;
         scene.stop_at_doubt = true;
-        let mut nodes = vec![Node { ranges: self.claim.ranges, cell: Cell::Undecided, halves: None, reached: None }];
+        let mut nodes = vec![PartitionNode { ranges: self.claim.ranges, cell: Cell::Undecided, halves: None, reached: None }];
         let mut due = vec![0_usize];
         let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
         for level in 0..=depth {
@@ -291,19 +291,19 @@ impl ReachPlan {
                     verified += volume;
                     gap_m = gap_m.min(reached.gaps_m[0]).min(reached.gaps_m[1]);
                 } else if level < depth
-                    && nodes.len() + 1 < MOST_BOXES
+                    && nodes.len() + 1 < MAX_BOXES
                     && let Some((dimension, halves)) = cut(&nodes[node].ranges, &reached)
                 {
                     nodes[node].cell = Cell::Cut(dimension);
                     nodes[node].halves = Some(nodes.len());
                     for ranges in halves {
                         next.push(nodes.len());
-                        nodes.push(Node { ranges, cell: Cell::Undecided, halves: None, reached: None });
+                        nodes.push(PartitionNode { ranges, cell: Cell::Undecided, halves: None, reached: None });
                     }
                 }
             }
             let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
-            let now = Shares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
+            let now = VolumeShares { depth: level, verified, falsified: 0.0, undecided: 1.0 - verified, boxes, seconds };
             observer.notify(&now)?;
             shares.push(now);
             if next.is_empty() {
@@ -316,7 +316,7 @@ impl ReachPlan {
     }
 
     /// Looks for starts that end in contact in whatever is undecided.
-    fn falsify(&self, scene: &Scene<'_>, nodes: &mut [Node]) -> Result<(), InvalidBox> {
+    fn falsify(&self, scene: &Scene<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
         let undecided: Vec<usize> = (0..nodes.len()).filter(|&node| nodes[node].cell == Cell::Undecided).collect();
         let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
             let mut stream = random::stream(0, Purpose::ScenarioDraw, node as u64);
@@ -344,8 +344,8 @@ impl ReachPlan {
         Ok(())
     }
 
-    fn concluded(&self, nodes: &[Node], mut shares: Vec<Shares>, gap_m: f64, begin: Instant) -> Partition {
-        let (mut doubts, mut partition) = (Doubts::default(), Vec::new());
+    fn build_partition(&self, nodes: &[PartitionNode], mut shares: Vec<VolumeShares>, gap_m: f64, begin: Instant) -> Partition {
+        let (mut doubts, mut partition) = (UndecidedCounts::default(), Vec::new());
         // Lower halves first, as the certificate wants them.
         let mut pending = vec![0_usize];
         while let Some(number) = pending.pop() {
@@ -355,8 +355,8 @@ impl ReachPlan {
                 Cell::Cut(_) => pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower])),
                 Cell::Verified | Cell::Falsified(_) => {}
                 Cell::Undecided => match node.reached.and_then(|reached| reached.doubt) {
-                    Some(Doubt::MayTouch { pair: 0, .. }) => doubts.ahead += 1,
-                    Some(Doubt::MayTouch { .. }) => doubts.behind += 1,
+                    Some(Undecided::MayTouch { pair: 0, .. }) => doubts.ahead += 1,
+                    Some(Undecided::MayTouch { .. }) => doubts.behind += 1,
                     _ => doubts.too_wide += 1,
                 },
             }
@@ -379,7 +379,7 @@ impl ReachPlan {
         Partition { certificate, shares, doubts }
     }
 
-    fn touches(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
+    fn has_contact_at(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
         self.contact(&within(&self.claim.ranges, place))
     }
 
@@ -408,7 +408,7 @@ impl ReachPlan {
     }
 
     /// Whether a start ends in contact in the simulator.
-    fn contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
+    fn has_contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
         let scenario = self.scenario_at(point)?;
         let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options)?;
@@ -423,7 +423,7 @@ impl InvalidBox {
 }
 
 /// What the checker says of a box, as its file names things: the instant at which the leader brakes is in seconds there.
-fn of_rejected(rejection: Rejection) -> InvalidBox {
+fn map_rejection(rejection: Rejection) -> InvalidBox {
     match rejection {
         Rejection::Invalid { field, problem } if field == "ranges.onset_steps" => {
             InvalidBox::field("ranges.onset_s", problem)
@@ -438,7 +438,7 @@ fn of_rejected(rejection: Rejection) -> InvalidBox {
 }
 
 /// What is wrong with a start, at the range that it comes from.
-fn of_start(invalid: InvalidField) -> InvalidBox {
+fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
     if let Some(setting) = invalid.field.strip_prefix("vehicles[2].driver.") {
         return InvalidBox::field("follower_drives", format!("{setting} {}", invalid.problem));
     }
@@ -458,7 +458,7 @@ fn of_start(invalid: InvalidField) -> InvalidBox {
 }
 
 /// Why a controller that may ask for more than the vehicle can do is refused; a network's file says at which field.
-fn asks_for_too_much(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller: &ControllerKind) -> InvalidBox {
+fn excessive_command_error(asked_mps2: [f64; 2], able_mps2: [f64; 2], controller: &ControllerKind) -> InvalidBox {
     let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
         true => ("output.low_mps2", asked_mps2[0]),
         false => ("output.high_mps2", asked_mps2[1]),
@@ -489,14 +489,14 @@ pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, Inva
 }
 
 /// The dimension that accounts for most of the doubt, of those that can be cut, and the halves.
-fn cut(ranges: &Ranges, reached: &Reached) -> Option<(Dimension, [Ranges; 2])> {
+fn choose_cut(ranges: &Ranges, reached: &Reached) -> Option<(Dimension, [Ranges; 2])> {
     let mut order: Vec<(f64, Dimension)> = reached.sensitivity.into_iter().zip(Dimension::ALL).collect();
     order.sort_by(|a, b| b.0.total_cmp(&a.0));
     order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.halves(dimension)?)))
 }
 
 /// The member at given places between the lower and upper ends.
-fn within(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
+fn interpolate(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
     std::array::from_fn(|i| {
         let range = ranges.get(Dimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())

@@ -23,7 +23,7 @@ pub struct CountRecord {
 /// What has been counted so far. A run fails if vehicles touch, or if its controller fails.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Tally {
+pub struct CountTally {
     /// Digest of the registration this belongs to.
     pub registration_sha256: String,
     /// Runs made.
@@ -38,13 +38,14 @@ pub struct Tally {
     pub blocks: Vec<CountedBlock>,
     /// Of a shard in a space that was fitted to episodes: how many of the new runs failed in each of its resamples of these.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub resampled: Vec<u64>,
+    #[serde(rename = "resampled")]
+    pub resample_failures: Vec<u64>,
 }
 
 impl Tally {
     /// Runs that failed: of two controllers, those in which either did.
     #[must_use]
-    pub fn failed(&self) -> u64 {
+    pub fn failed_runs(&self) -> u64 {
         self.failures.saturating_add(self.only_first_failed).saturating_add(self.only_second_failed)
     }
 
@@ -61,7 +62,7 @@ impl Tally {
 
     /// What was counted, in words: of one controller, or of two.
     #[must_use]
-    pub fn words(&self, is_of_two: bool) -> String {
+    pub fn summary(&self, is_of_two: bool) -> String {
         let Self { runs, failures, only_first_failed, only_second_failed, .. } = self;
         let counts = if is_of_two {
             format!(
@@ -70,19 +71,19 @@ impl Tally {
         } else {
             format!("{failures} failures")
         };
-        format!("{counts}, of {runs} runs{}", self.unanswered_words())
+        format!("{counts}, of {runs} runs{}", self.unanswered_summary())
     }
 
     /// Who gave no answer, in words, each after a semicolon; nothing where all were answered.
     #[must_use]
-    pub fn unanswered_words(&self) -> String {
+    pub fn unanswered_summary(&self) -> String {
         let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];
         let words = who.into_iter().zip(self.unanswered());
         words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.words(self.runs)))).collect()
     }
 
     /// Adds the next block, of so many runs.
-    pub(super) fn add(&mut self, runs: u64, block: CountedBlock) {
+    pub(super) fn add_block(&mut self, runs: u64, block: CountedBlock) {
         self.runs += runs;
         self.failures += block.failures;
         self.only_first_failed += block.only_first_failed;
@@ -115,7 +116,7 @@ impl CountRecord {
 
     /// Whether two controllers are compared.
     #[must_use]
-    pub fn is_of_two(&self) -> bool {
+    pub fn is_comparison(&self) -> bool {
         self.registration.configuration.contains_key("against")
     }
 
@@ -125,26 +126,26 @@ impl CountRecord {
 
     /// How many blocks there are.
     #[must_use]
-    pub(crate) fn blocks(&self) -> u64 {
+    pub(crate) fn block_count(&self) -> u64 {
         self.registration.runs.div_ceil(self.block_runs())
     }
 
     /// The runs of blocks that follow each other.
     #[must_use]
-    pub(crate) fn runs_of(&self, blocks: Range<u64>) -> Range<u64> {
+    pub(crate) fn run_range(&self, blocks: Range<u64>) -> Range<u64> {
         let at = |block: u64| block.saturating_mul(self.block_runs()).min(self.registration.runs);
         at(blocks.start)..at(blocks.end)
     }
 
     /// Nothing counted yet.
     #[must_use]
-    pub fn tally(&self) -> Tally {
+    pub fn empty_tally(&self) -> Tally {
         Tally { registration_sha256: self.registration.digest(), ..Tally::default() }
     }
 
     /// Whether a tally is of the first of some blocks, adds up, and counts no more runs than there are.
     #[must_use]
-    pub(super) fn is_sound(&self, blocks: &Range<u64>, tally: &Tally) -> bool {
+    pub(super) fn is_consistent(&self, blocks: &Range<u64>, tally: &Tally) -> bool {
         let counted = tally.blocks.len() as u64;
         let runs_of = |block: u64| length(&self.runs_of(block..block.saturating_add(1)));
         let may_be = |(block, counted): (u64, &CountedBlock)| {
@@ -209,7 +210,7 @@ impl CountRecord {
 }
 
 /// How long a range is.
-pub(super) fn length(range: &Range<u64>) -> u64 {
+pub(super) fn range_len(range: &Range<u64>) -> u64 {
     range.end.saturating_sub(range.start)
 }
 
@@ -217,7 +218,7 @@ pub(super) fn length(range: &Range<u64>) -> u64 {
 pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let allowed = 1.0 - confidence;
     let (mut aimed_at, mut rejected) = (allowed, 0.0);
-    for doubling in 0..MOST_TRIES {
+    for doubling in 0..MAX_TRIES {
         let rate = binomial::upper(failures, runs, aimed_at);
         // NaN included.
         if !(rate > 0.0 && rate < 1.0) {
@@ -245,7 +246,7 @@ fn lowest_accepted(mut rejected: f64, mut accepted: f64, is_accepted: impl Fn(f6
 }
 
 /// It takes two or three, and some more where a checker tells few rates apart.
-const MOST_TRIES: u32 = 30;
+const MAX_TRIES: u32 = 30;
 
 #[cfg(test)]
 mod tests {

@@ -15,11 +15,11 @@ use crumple_world::sim::NamedController;
 
 /// Which blocks are counted again.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Sample {
+pub enum BlockSelection {
     /// All of them.
-    Whole,
+    All,
     /// Some.
-    Share {
+    Sample {
         /// In percent of the blocks; at least one block is counted.
         percent: f64,
         /// What decides which; nobody may have known it when the certificate was made.
@@ -38,7 +38,7 @@ pub enum RerunError {
     #[error("`registration.configuration.crumple` is {counted}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
     OtherRelease {
         /// The one that counted.
-        counted: String,
+        counting_release: String,
     },
     /// It is of version 1.
     #[error("version 1 holds neither the space that runs were drawn from nor a hash of what came of them: count again")]
@@ -57,7 +57,7 @@ pub enum RerunError {
     OtherRegistration,
     /// The certificate is not about what it says.
     #[error(transparent)]
-    Unbound(#[from] Unbound),
+    Binding(#[from] Unbound),
     /// A run cannot be made.
     #[error(transparent)]
     Run(#[from] RateError),
@@ -81,13 +81,13 @@ pub enum RerunError {
 /// A certificate of counts, with all that is needed to count again.
 pub struct Rerun {
     plan: RatePlan,
-    stated: Vec<Stated>,
+    stated_blocks: Vec<StatedBlock>,
     /// SHA-256 of the certificate: part of what decides the sample.
     digest: String,
 }
 
 /// What a certificate states of a block; of a rate, the second number is 0.
-struct Stated {
+struct StatedBlock {
     counts: [u64; 2],
     sha256: String,
 }
@@ -98,11 +98,11 @@ pub struct Confirmation {
     /// Blocks that were counted again.
     pub blocks: u64,
     /// Of so many.
-    pub of_blocks: u64,
+    pub total_blocks: u64,
     /// Runs that were made again.
     pub runs: u64,
     /// Of so many.
-    pub of_runs: u64,
+    pub total_runs: u64,
     /// Runs of a block.
     pub block_runs: u64,
 }
@@ -110,13 +110,13 @@ pub struct Confirmation {
 impl Confirmation {
     /// Whether everything was counted again.
     #[must_use]
-    pub fn is_whole(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.blocks == self.of_blocks
     }
 
     /// The least chance with which this would have caught a maker who changed what came of `forged` runs, wherever they were.
     #[must_use]
-    pub fn chance_of_catching(&self, forged: u64) -> f64 {
+    pub fn detection_probability(&self, forged: u64) -> f64 {
         let changed = forged.div_ceil(self.block_runs.max(1)).min(self.of_blocks);
         let missed = (0..changed).map(|i| {
             let left = self.of_blocks.saturating_sub(self.blocks).saturating_sub(i);
@@ -132,17 +132,17 @@ impl Rerun {
     /// # Errors
     /// [`RerunError`] if it cannot be done.
     pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
-        let (registration, stated): (&Registration, Vec<Stated>) = match &certificate.statement {
+        let (registration, stated): (&Registration, Vec<StatedBlock>) = match &certificate.statement {
             Statement::Rate(claim) => {
                 let blocks = claim.blocks.iter();
                 (
                     &claim.registration,
-                    blocks.map(|(k, sha256)| Stated { counts: [*k, 0], sha256: sha256.clone() }).collect(),
+                    blocks.map(|(k, sha256)| StatedBlock { counts: [*k, 0], sha256: sha256.clone() }).collect(),
                 )
             }
             Statement::Comparison(claim) => {
                 let blocks = claim.blocks.iter();
-                (&claim.registration, blocks.map(|(k, sha256)| Stated { counts: *k, sha256: sha256.clone() }).collect())
+                (&claim.registration, blocks.map(|(k, sha256)| StatedBlock { counts: *k, sha256: sha256.clone() }).collect())
             }
             other => return Err(RerunError::NothingCounted(other.name())),
         };
@@ -182,11 +182,11 @@ impl Rerun {
 
     /// How many runs a sample holds.
     #[must_use]
-    pub fn runs(&self, sample: Sample) -> u64 {
+    pub fn run_count(&self, sample: Sample) -> u64 {
         self.sampled(sample).into_iter().map(|block| self.runs_of(block)).sum()
     }
 
-    fn runs_of(&self, block: u64) -> u64 {
+    fn block_run_count(&self, block: u64) -> u64 {
         let runs = self.plan.runs_of(block);
         runs.end - runs.start
     }
@@ -217,7 +217,7 @@ impl Rerun {
     }
 
     /// The blocks of a sample, in order: those whose hashes with the seed and the certificate are the smallest.
-    fn sampled(&self, sample: Sample) -> Vec<u64> {
+    fn select_blocks(&self, sample: Sample) -> Vec<u64> {
         let all = 0..self.plan.blocks();
         let Sample::Share { percent, seed } = sample else { return all.collect() };
         let most = self.plan.blocks();
@@ -232,8 +232,8 @@ impl Rerun {
         blocks
     }
 
-    fn compare(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
-        let is_rate = self.plan.is_of_one();
+    fn compare_block(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
+        let is_rate = self.plan.has_single_controller();
         let counts = if is_rate { [found.failures, 0] } else { [found.only_first_failed, found.only_second_failed] };
         let Some(stated) = self.stated.get(block as usize) else { return Err(RerunError::OtherRegistration) };
         let runs = self.plan.runs_of(block);

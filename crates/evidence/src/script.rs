@@ -44,7 +44,7 @@ pub enum ScriptBeyondLimit {
 ///
 /// The acceleration of a step is the mean of the script's acceleration within the step. The simulator rounds that, as it rounds
 /// the motion of a leader with the plain script `brake`: by far less than the 10⁻⁹ m and m/s that every reach allows for.
-pub(super) fn keeps_within(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64) -> Result<(), ScriptBeyondLimit> {
+pub(super) fn check_script_limits(leader: &VehicleSpec, limit_mps2: f64, horizon_s: f64) -> Result<(), ScriptBeyondLimit> {
     let Driver::Profile(profile) = &leader.driver else { return Err(ScriptBeyondLimit::NotScripted) };
     let [lowest, highest] = match profile {
         LeadProfile::Recorded(recorded) => {
@@ -108,8 +108,8 @@ mod tests {
     const HORIZON_S: f64 = 10.0;
     const SPEED_MPS: f64 = 20.0;
 
-    fn led(profile: LeadProfile) -> Result<(), ScriptBeyondLimit> {
-        keeps_within(&VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::Profile(profile)), 3.0, HORIZON_S)
+    fn check_profile(profile: LeadProfile) -> Result<(), ScriptBeyondLimit> {
+        check_script_limits(&VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::Profile(profile)), 3.0, HORIZON_S)
     }
 
     fn pieces(from_s: &[f64], accel_mps2: &[f64]) -> LeadProfile {
@@ -121,7 +121,7 @@ mod tests {
     }
 
     /// Scripts that brake at 3 m/s² at most.
-    fn within() -> Vec<LeadProfile> {
+    fn allowed_profiles() -> Vec<LeadProfile> {
         let (onset_s, rate_mps2) = (1.004, 3.0);
         vec![
             LeadProfile::ConstantSpeed,
@@ -182,9 +182,9 @@ mod tests {
         let rounded = led(recorded(&[0.0, 0.1], &[20.0, 19.7]));
         assert!(matches!(rounded, Err(ScriptBeyondLimit::BrakesHarder { mps2, .. }) if mps2 > 3.0 && mps2 < 3.000_001));
         let driven = VehicleSpec::new(VehicleClass::Light, 50.0, SPEED_MPS, Driver::UnderTest);
-        assert_eq!(keeps_within(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
+        assert_eq!(check_script_limits(&driven, 3.0, HORIZON_S), Err(ScriptBeyondLimit::NotScripted));
         assert!(
-            keeps_within(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S)
+            check_script_limits(&VehicleSpec { driver: Driver::Profile(within().remove(1)), ..driven }, f64::NAN, HORIZON_S)
                 .is_err()
         );
     }

@@ -24,17 +24,17 @@
 //! No path in a request is ever opened: a request names scenarios, controllers and campaigns by number or by a name that was
 //! offered, and a scenario that it sends may name the files of those that were offered and no others.
 
-mod answer;
-mod avoided;
+mod routes;
+mod avoidability;
 mod campaign;
-mod drawn;
-mod gate;
-mod offer;
+mod render;
+mod auth;
+mod catalog;
 mod page;
-mod refused;
+mod error;
 mod request;
-mod saved;
+mod save;
 mod server;
 
-pub use offer::{Offer, OfferError, OfferedScenario};
+pub use catalog::{Offer, ExploreConfigError, CatalogScenario};
 pub use server::{ServeError, Server};

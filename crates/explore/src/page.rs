@@ -8,10 +8,10 @@ use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::offer::{Offer, Offered};
+use crate::catalog::{Offer, Catalog};
 
 /// The one style sheet.
-pub(crate) fn style() -> String {
+pub(crate) fn style_sheet() -> String {
     [PAGE_STYLE, draw::STYLE, ANIMATION_STYLE, include_str!("explore.css")].concat()
 }
 
@@ -21,11 +21,11 @@ pub(crate) fn script() -> String {
 }
 
 /// The page of a scenario.
-pub(crate) fn scenario(offer: &Offered) -> String {
+pub(crate) fn scenario_page(offer: &Catalog) -> String {
     let classes = VehicleClass::ALL.iter().map(|class| {
         json!({ "name": class.name(), "max_brake_mps2": class.max_brake_mps2(), "max_accel_mps2": class.max_accel_mps2() })
     });
-    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": Offer::MOST_CONTROLLERS });
+    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": Offer::MAX_CONTROLLERS });
     let content = html! {
         h1.unseen { "Scenario" }
         div.bench {
@@ -81,7 +81,7 @@ pub(crate) fn scenario(offer: &Offered) -> String {
 }
 
 /// The page of campaigns.
-pub(crate) fn campaigns(offer: &Offered) -> String {
+pub(crate) fn campaigns_page(offer: &Catalog) -> String {
     let names = || offer.campaigns.iter().enumerate();
     let content = html! {
         h1.unseen { "Campaigns" }
@@ -150,6 +150,6 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
 }
 
 /// JSON that nothing in it can end as an element of a page.
-fn embedded(json: &Value) -> String {
+fn escape_json(json: &Value) -> String {
     json.to_string().replace('<', "\\u003c")
 }

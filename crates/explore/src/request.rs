@@ -8,16 +8,16 @@ use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, ScenarioSpe
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::offer::{Offered, of_scenario};
-use crate::refused::Refused;
+use crate::catalog::{Catalog, of_scenario};
+use crate::error::Refused;
 
 /// Most vehicles times steps that are simulated for one request, over all its controllers: half a second's work.
-pub(crate) const MOST_VEHICLE_STEPS: usize = 400_000;
+pub(crate) const MAX_VEHICLE_STEPS: usize = 400_000;
 
 /// A scenario with what was changed of it, as it is.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Edited {
+pub(crate) struct EditedScenario {
     scenario: ScenarioSpec,
     #[serde(default)]
     edits: Edits,
@@ -62,7 +62,7 @@ struct VehicleEdit {
 }
 
 /// Reads what a request says.
-pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused> {
+pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused> {
     let text = std::str::from_utf8(body).map_err(|error| Refused::Malformed {
         line: 1 + body.iter().take(error.valid_up_to()).filter(|&&byte| byte == b'\n').count(),
         message: "not UTF-8".to_owned(),
@@ -70,24 +70,24 @@ pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused> {
     Ok(parse_json(text, Path::new("request"))?)
 }
 
-impl Edited {
+impl EditedScenario {
     /// The scenario that is meant.
-    pub(crate) fn scenario(self, offer: &Offered) -> Result<Scenario, Refused> {
+    pub(crate) fn into_scenario(self, offer: &Catalog) -> Result<Scenario, Refused> {
         meant(self.scenario, self.edits, 1, offer)
     }
 }
 
 impl RunRequest {
     /// The scenario that is meant, taken out.
-    pub(crate) fn scenario(&mut self, offer: &Offered) -> Result<Scenario, Refused> {
+    pub(crate) fn take_scenario(&mut self, offer: &Catalog) -> Result<Scenario, Refused> {
         let (spec, edits) = (self.scenario.clone(), std::mem::take(&mut self.edits));
         meant(spec, edits, self.controllers.len(), offer)
     }
 }
 
 /// A scenario with what was changed, found valid and small enough to be run so often.
-fn meant(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Offered) -> Result<Scenario, Refused> {
-    offer.fill_drivers(&mut spec)?;
+fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalog) -> Result<Scenario, Refused> {
+    offer.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
     let scenario = Scenario::new(spec).map_err(of_scenario)?;
     let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(runs.max(1));
@@ -134,7 +134,7 @@ impl Edits {
             }
         }
         if moves {
-            line_up(spec, &gaps_m);
+            place_vehicles(spec, &gaps_m);
         }
         if let (Some(pieces), Some(lead)) = (self.lead, spec.vehicles.first_mut()) {
             lead.driver = Driver::Profile(LeadProfile::Pieces(pieces));
@@ -160,7 +160,7 @@ pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
 }
 
 /// Puts vehicles behind the first one with these gaps between them.
-fn line_up(spec: &mut ScenarioSpec, gaps_m: &[f64]) {
+fn place_vehicles(spec: &mut ScenarioSpec, gaps_m: &[f64]) {
     let Some(first) = spec.vehicles.first() else { return };
     let mut rear_bumper_m = first.position_m - first.length_m();
     for (vehicle, gap_m) in spec.vehicles.iter_mut().skip(1).zip(gaps_m) {

@@ -23,28 +23,28 @@ use tokio::runtime::Runtime;
 use tokio::task::AbortHandle;
 use tokio::time::{sleep, timeout};
 
-use crate::answer::{Answer, Application};
-use crate::gate::Gate;
-use crate::offer::{Offer, OfferError};
-use crate::refused::Refused;
+use crate::routes::{Answer, Application};
+use crate::auth::Gate;
+use crate::catalog::{Offer, ExploreConfigError};
+use crate::error::Refused;
 
 /// Most connections at once. Beyond that, the connection ends that has waited longest for its client. A connection whose request is being
 /// answered does not end.
-const MOST_CONNECTIONS: usize = 256;
+const MAX_CONNECTIONS: usize = 256;
 /// Most bytes of what is asked: a scenario of some minutes of scripted motion.
-const MOST_BYTES: usize = 1 << 20;
+const MAX_BODY_BYTES: usize = 1 << 20;
 /// Bytes after which nobody listens any more.
-const MOST_HEARD: usize = 32 << 20;
+const MAX_DRAINED_BYTES: usize = 32 << 20;
 /// Most bytes of the head of a request, and most headers in it.
-const MOST_HEAD_BYTES: usize = 32 << 10;
-const MOST_HEADERS: usize = 64;
+const MAX_HEAD_BYTES: usize = 32 << 10;
+const MAX_HEADERS: usize = 64;
 /// Time in which the head of a request arrives, and then its body. Clients run on the same machine.
-const PATIENCE: Duration = Duration::from_secs(10);
+const READ_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time after which is tried again what could not be had.
-const A_MOMENT: Duration = Duration::from_millis(20);
+const RETRY_AFTER: Duration = Duration::from_millis(20);
 
 /// Sent with every answer. Nothing is loaded but from here, nothing is kept, and no other page can show this one.
-const HEADERS: [(&str, &str); 7] = [
+const SECURITY_HEADERS: [(&str, &str); 7] = [
     (
         "content-security-policy",
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; base-uri 'none'; \
@@ -66,7 +66,7 @@ pub struct Server {
     application: Arc<Application>,
     runtime: Runtime,
     interrupt: Interrupt,
-    patience: Duration,
+    read_timeout: Duration,
 }
 
 impl fmt::Debug for Server {
@@ -84,7 +84,7 @@ type Interrupt = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 pub enum ServeError {
     /// Something cannot be offered.
     #[error(transparent)]
-    Offer(#[from] OfferError),
+    Config(#[from] ExploreConfigError),
     /// The port cannot be listened at.
     #[error("--port {port}: {source}")]
     Port {
@@ -124,9 +124,9 @@ impl Server {
         let mut interrupt: Interrupt = Box::pin(tokio::signal::ctrl_c());
         // The first poll sets the handler: who has read the address may interrupt at once.
         let interrupt: Interrupt =
-            match runtime.block_on(poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context)))) {
-                Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
-                Poll::Pending => interrupt,
+            match runtime.block_on(poll_fn(|context| Poll::ResetReply(interrupt.as_mut().poll(context)))) {
+                Poll::ResetReply(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
+                Poll::PendingChange => interrupt,
             };
         let application = Arc::new(Application::new(gate, offer));
         Ok(Self { listener, port, application, runtime, interrupt, patience: PATIENCE })
@@ -134,13 +134,13 @@ impl Server {
 
     /// Sets the time in which the head of a request arrives, and then its body; 10 s otherwise.
     #[must_use]
-    pub fn with_patience(self, patience: Duration) -> Self {
+    pub fn with_read_timeout(self, patience: Duration) -> Self {
         Self { patience, ..self }
     }
 
     /// The first address, with the token.
     #[must_use]
-    pub fn address(&self) -> String {
+    pub fn url(&self) -> String {
         self.application.gate.address()
     }
 
@@ -171,11 +171,11 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of file descriptors, as likely as not: some will be free soon.
-            sleep(A_MOMENT).await;
+            sleep(RETRY_AFTER).await;
             continue;
         };
         while !has_room(&mut connections) {
-            sleep(A_MOMENT).await;
+            sleep(RETRY_AFTER).await;
         }
         let idle_since = Arc::new(AtomicU64::new(tick()));
         let (application, own_idle_since) = (Arc::clone(&application), Arc::clone(&idle_since));
@@ -184,8 +184,8 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
-                .max_buf_size(MOST_HEAD_BYTES)
-                .max_headers(MOST_HEADERS)
+                .max_buf_size(MAX_HEAD_BYTES)
+                .max_headers(MAX_HEADERS)
                 .serve_connection(TokioIo::new(stream), service);
             // A client that breaks off needs no answer.
             let _ = connection.await;
@@ -197,29 +197,29 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
 /// A connection that was accepted.
 struct Connection {
     task: AbortHandle,
-    /// Tick at which it became idle, or [`ANSWERING`].
+    /// Tick at which it became idle, or [`BUSY`].
     idle_since: Arc<AtomicU64>,
 }
 
 /// Value of a connection whose request is being answered.
-const ANSWERING: u64 = u64::MAX;
+const BUSY: u64 = u64::MAX;
 
 /// Returns numbers that increase, in the place of times.
-fn tick() -> u64 {
+fn next_tick() -> u64 {
     static TICKS: AtomicU64 = AtomicU64::new(0);
     TICKS.fetch_add(1, Ordering::Relaxed)
 }
 
 /// Returns whether another connection may begin. If there are too many, ends the one that is idle the longest.
-fn has_room(connections: &mut Vec<Connection>) -> bool {
+fn try_free_connection(connections: &mut Vec<Connection>) -> bool {
     connections.retain(|connection| !connection.task.is_finished());
-    if connections.len() >= MOST_CONNECTIONS {
+    if connections.len() >= MAX_CONNECTIONS {
         let since = connections.iter().map(|connection| connection.idle_since.load(Ordering::Relaxed)).enumerate();
-        if let Some((longest, _)) = since.filter(|(_, since)| *since != ANSWERING).min_by_key(|(_, since)| *since) {
+        if let Some((longest, _)) = since.filter(|(_, since)| *since != BUSY).min_by_key(|(_, since)| *since) {
             connections.swap_remove(longest).task.abort();
         }
     }
-    connections.len() < MOST_CONNECTIONS
+    connections.len() < MAX_CONNECTIONS
 }
 
 async fn respond(
@@ -233,7 +233,7 @@ async fn respond(
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
-    for (name, value) in HEADERS {
+    for (name, value) in SECURITY_HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
@@ -261,14 +261,14 @@ async fn handle(
     }
     let body = timeout(patience, whole(body)).await.map_err(|_| Refused::Slow(patience))??;
     // More than there are threads for wait in line.
-    idle_since.store(ANSWERING, Ordering::Relaxed);
+    idle_since.store(BUSY, Ordering::Relaxed);
     let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
     idle_since.store(tick(), Ordering::Relaxed);
     answer.unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
 }
 
 /// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.
-async fn whole(mut body: Incoming) -> Result<Vec<u8>, Refused> {
+async fn read_body(mut body: Incoming) -> Result<Vec<u8>, Refused> {
     let (mut bytes, mut length) = (Vec::new(), 0_usize);
     while let Some(frame) = body.frame().await {
         let broken =
@@ -277,7 +277,7 @@ async fn whole(mut body: Incoming) -> Result<Vec<u8>, Refused> {
         length = length.saturating_add(data.len());
         if length <= MOST_BYTES {
             bytes.extend_from_slice(&data);
-        } else if length > MOST_HEARD {
+        } else if length > MAX_DRAINED_BYTES {
             break;
         }
     }

@@ -8,7 +8,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_core::observer::Quiet;
-use crumple_explore::{Offer, OfferedScenario, Server};
+use crumple_explore::{Offer, CatalogScenario, Server};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
@@ -20,18 +20,18 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 /// A server for all tests, its token, and the folder it saves in.
-struct Served {
+struct TestServer {
     port: u16,
     token: String,
     out: tempfile::TempDir,
 }
 
-fn served() -> &'static Served {
+fn test_server() -> &'static Served {
     static SERVED: OnceLock<Served> = OnceLock::new();
     SERVED.get_or_init(|| {
         let out = tempfile::tempdir().unwrap();
         let wet = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
-        let scenarios = vec![OfferedScenario { name: "wet".to_owned(), scenario: wet }];
+        let scenarios = vec![CatalogScenario { name: "wet".to_owned(), scenario: wet }];
         let offer = Offer { scenarios, out: Some(out.path().to_owned()), ..Offer::default() };
         let (port, token) = start(Server::bind(0, offer).unwrap());
         Served { port, token, out }
@@ -47,7 +47,7 @@ fn start(server: Server) -> (u16, String) {
 }
 
 /// Held by tests that open hundreds of connections, of which a process may have about a thousand.
-static CROWDED: Mutex<()> = Mutex::new(());
+static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 
 /// Sends bytes, and reads status, head and body.
 fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
@@ -89,7 +89,7 @@ fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
     (status, serde_json::from_slice(&answer).unwrap_or(Value::Null))
 }
 
-fn run_of(edits: &Value) -> Value {
+fn run_request(edits: &Value) -> Value {
     json!({ "scenario": built_in("paper-1").unwrap().spec(), "edits": edits, "controllers": ["baseline", "idm"], "estimator": "truth" })
 }
 
@@ -125,7 +125,7 @@ fn the_pages_are_served_to_who_has_the_token_and_load_nothing_from_elsewhere() {
 fn without_the_token_or_from_another_page_every_request_is_refused() {
     let Served { port, token, .. } = served();
     let host = format!("127.0.0.1:{port}");
-    let body = run_of(&json!({})).to_string();
+    let body = run_request(&json!({})).to_string();
     let own = [("Host", host.as_str()), ("Content-Type", "application/json")];
     let wrong = "0".repeat(token.len());
     for path in [
@@ -182,7 +182,7 @@ fn fifty_clients_at_once_lose_nothing() {
         let edits = json!({ "name": name, "vehicles": [{ "vehicle": 1, "speed_mps": speed_mps }] });
         (0..4)
             .map(|_| {
-                let (status, answer) = post("run", run_of(&edits).to_string().as_bytes());
+                let (status, answer) = post("run", run_request(&edits).to_string().as_bytes());
                 assert_eq!(status, 200, "{answer}");
                 assert_eq!(answer["sliders"]["name"], name);
                 assert_eq!(answer["sliders"]["vehicles"][1]["speed_mps"], speed_mps);
@@ -204,7 +204,7 @@ fn fifty_clients_at_once_lose_nothing() {
 /// More idle connections than the server keeps do not delay a request until their time limit of 10 s.
 #[test]
 fn idle_connections_keep_nobody_out() {
-    let _alone = CROWDED.lock();
+    let _alone = MANY_CONNECTIONS.lock();
     let idle: Vec<_> = (0..400).map(|_| TcpStream::connect(("127.0.0.1", served().port)).unwrap()).collect();
     let begun = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
@@ -213,7 +213,7 @@ fn idle_connections_keep_nobody_out() {
 }
 
 /// A request of which the body is missing but for its first byte.
-fn begun(port: u16, token: &str) -> TcpStream {
+fn start_request(port: u16, token: &str) -> TcpStream {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     let head = format!(
@@ -225,12 +225,12 @@ fn begun(port: u16, token: &str) -> TcpStream {
 }
 
 /// Sends the rest, and reads the answer.
-fn ended(stream: &mut TcpStream) -> String {
+fn finish_request(stream: &mut TcpStream) -> String {
     stream.write_all(br#""scenario": 0}"#).unwrap();
     heard(stream)
 }
 
-fn heard(stream: &mut TcpStream) -> String {
+fn read_response(stream: &mut TcpStream) -> String {
     let mut answer = String::new();
     let _ = stream.read_to_string(&mut answer);
     answer
@@ -240,9 +240,9 @@ fn heard(stream: &mut TcpStream) -> String {
 /// answered.
 #[test]
 fn slow_requests_keep_no_other_client_out() {
-    let _alone = CROWDED.lock();
+    let _alone = MANY_CONNECTIONS.lock();
     let patience = Duration::from_secs(3600);
-    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_patience(patience));
+    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_read_timeout(patience));
     let mut bodies: Vec<_> = (0..130).map(|_| begun(port, &token)).collect();
     let heads: Vec<_> = (0..130).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
     heads.iter().for_each(|mut stream| stream.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap());
@@ -255,7 +255,7 @@ fn slow_requests_keep_no_other_client_out() {
 
 #[test]
 fn a_request_that_does_not_arrive_in_time_is_ended() {
-    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_patience(Duration::from_millis(200)));
+    let (port, token) = start(Server::bind(0, Offer::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
     let answer = heard(&mut begun(port, &token));
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
     let mut head = TcpStream::connect(("127.0.0.1", port)).unwrap();
@@ -303,7 +303,7 @@ fn what_is_wrong_is_said_with_its_field() {
         );
     };
     let with = |change: &dyn Fn(&mut Value)| {
-        let mut body = run_of(&json!({}));
+        let mut body = run_request(&json!({}));
         change(&mut body);
         body.to_string()
     };
@@ -370,12 +370,12 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
         "/etc/passwd".to_owned(),
         "../policy.safetensors".to_owned(),
     ] {
-        let mut body = run_of(&json!({}));
+        let mut body = run_request(&json!({}));
         body["controllers"] = json!([name]);
         let (status, answer) = post("run", body.to_string().as_bytes());
         assert_eq!((status, &answer["error"]["field"]), (422, &json!("controllers[0]")), "{name}");
     }
-    let mut body = run_of(&json!({}));
+    let mut body = run_request(&json!({}));
     body["scenario"]["vehicles"][2]["driver"] = json!({ "file": { "path": "/etc/passwd" } });
     for what in ["run", "avoid", "save"] {
         let body = match what {
@@ -401,7 +401,7 @@ fn what_was_dragged_and_saved_ends_in_the_same_contact() {
         "vehicles": [{ "vehicle": 1, "gap_m": 11.3, "class": "heavy" }, { "vehicle": 2, "gap_m": 9.77, "speed_mps": 26.1 }],
         "lead": { "from_s": [0.0, 1.5, 4.25], "accel_mps2": [0.0, -4.5, -1.0] },
     });
-    let (status, drawn) = post("run", run_of(&edits).to_string().as_bytes());
+    let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
     assert_eq!(status, 200, "{drawn}");
     assert_eq!(drawn["sliders"]["vehicles"][2]["gap_m"].as_f64().map(|gap| (gap * 1e6).round() / 1e6), Some(9.77));
     let save = json!({ "what": { "scenario": built_in("paper-1").unwrap().spec(), "edits": edits }, "controller": "baseline", "estimator": "truth", "to_folder": true });
@@ -431,7 +431,7 @@ proptest! {
     /// A request that was damaged anywhere is answered as well, and with one clear error where it is one.
     #[test]
     fn damage_is_refused_in_words(at in 0.0..1.0_f64, put in prop::collection::vec(any::<u8>(), 0..6), cut in 0..9_usize) {
-        let whole = run_of(&json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] })).to_string().into_bytes();
+        let whole = run_request(&json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] })).to_string().into_bytes();
         let place = (at * whole.len() as f64) as usize;
         let damaged = [&whole[..place], &put, whole.get(place + cut..).unwrap_or_default()].concat();
         let (status, answer) = post("run", &damaged);

@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use crate::description::{Description, FmiVersion, InvalidDescription};
+use crate::description::{ModelDescription, FmiVersion, InvalidDescription};
 
 /// Longest description, in bytes.
-const MOST_DESCRIPTION_BYTES: u64 = 16 << 20;
+const MAX_DESCRIPTION_BYTES: u64 = 16 << 20;
 /// Most members of an archive, and bytes of all of them unpacked.
-const MOST_MEMBERS: usize = 20_000;
-const MOST_BYTES: u64 = 1 << 30;
+const MAX_MEMBERS: usize = 20_000;
+const MAX_UNPACKED_BYTES: u64 = 1 << 30;
 
 /// The member that describes the FMU.
 const DESCRIPTION: &str = "modelDescription.xml";
@@ -50,7 +50,7 @@ pub enum FmuError {
 #[derive(Debug)]
 pub struct Fmu<R> {
     archive: ZipArchive<R>,
-    description: Description,
+    description: ModelDescription,
 }
 
 impl Fmu<BufReader<File>> {
@@ -74,8 +74,8 @@ impl<R: Read + Seek> Fmu<R> {
     /// [`FmuError`], as for [`Fmu::open`].
     pub fn read(bytes: R) -> Result<Self, FmuError> {
         let mut archive = ZipArchive::new(bytes)?;
-        if archive.len() > MOST_MEMBERS {
-            return Err(FmuError::Member(format!("it has more than {MOST_MEMBERS} members")));
+        if archive.len() > MAX_MEMBERS {
+            return Err(FmuError::Member(format!("it has more than {MAX_MEMBERS} members")));
         }
         let mut text = String::new();
         let member = archive.by_name(DESCRIPTION).map_err(|error| match error {
@@ -83,15 +83,15 @@ impl<R: Read + Seek> Fmu<R> {
             other => other.into(),
         })?;
         let wrong = |error: io::Error| FmuError::Member(format!("{DESCRIPTION}: {error}"));
-        member.take(MOST_DESCRIPTION_BYTES + 1).read_to_string(&mut text).map_err(wrong)?;
-        if text.len() as u64 > MOST_DESCRIPTION_BYTES {
-            return Err(FmuError::Member(format!("{DESCRIPTION} has more than {MOST_DESCRIPTION_BYTES} bytes")));
+        member.take(MAX_DESCRIPTION_BYTES + 1).read_to_string(&mut text).map_err(wrong)?;
+        if text.len() as u64 > MAX_DESCRIPTION_BYTES {
+            return Err(FmuError::Member(format!("{DESCRIPTION} has more than {MAX_DESCRIPTION_BYTES} bytes")));
         }
-        let fmu = Self { description: Description::from_xml(&text)?, archive };
-        let wanted = fmu.library();
+        let fmu = Self { description: ModelDescription::from_xml(&text)?, archive };
+        let wanted = fmu.library_member();
         if fmu.archive.index_for_name(&wanted).is_none() {
             let is_one = |name: &String| name.starts_with("binaries/") && !name.ends_with('/');
-            let mut found: Vec<String> = fmu.names().filter(is_one).collect();
+            let mut found: Vec<String> = fmu.member_names().filter(is_one).collect();
             found.sort_unstable();
             found.truncate(8);
             return Err(FmuError::Platform { wanted, found: found.join(", ") });
@@ -101,13 +101,13 @@ impl<R: Read + Seek> Fmu<R> {
 
     /// What it says of itself.
     #[must_use]
-    pub fn description(&self) -> &Description {
+    pub fn description(&self) -> &ModelDescription {
         &self.description
     }
 
     /// The member that is its library for this platform.
     #[must_use]
-    pub fn library(&self) -> String {
+    pub fn library_member(&self) -> String {
         let (system, extension) = match std::env::consts::OS {
             "macos" => ("darwin", "dylib"),
             "windows" => ("windows", "dll"),
@@ -126,11 +126,11 @@ impl<R: Read + Seek> Fmu<R> {
     /// Whether it has anything beside its description and its libraries that these may want to read.
     #[must_use]
     pub fn has_resources(&self) -> bool {
-        self.names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
+        self.member_names().any(|name| name.starts_with("resources/") && !name.ends_with('/'))
     }
 
     /// Members whose names are text.
-    fn names(&self) -> impl Iterator<Item = String> {
+    fn member_names(&self) -> impl Iterator<Item = String> {
         self.archive.file_names().filter_map(|name| name.ok().map(std::borrow::Cow::into_owned))
     }
 
@@ -140,9 +140,9 @@ impl<R: Read + Seek> Fmu<R> {
     /// # Errors
     /// [`FmuError`] for an archive that is damaged or too large, and for a folder that cannot be written.
     pub fn unpack(&mut self, folder: &Path) -> Result<PathBuf, FmuError> {
-        let library = self.library();
+        let library = self.library_member();
         let beside = library.rsplit_once('/').map_or("", |(beside, _)| beside).to_owned();
-        let mut left = MOST_BYTES;
+        let mut left = MAX_UNPACKED_BYTES;
         for index in 0..self.archive.len() {
             let mut member = self.archive.by_index(index)?;
             let name = member.name()?.into_owned();
@@ -158,7 +158,7 @@ impl<R: Read + Seek> Fmu<R> {
             let copied = io::copy(&mut (&mut member).take(left + 1), &mut File::create(path)?);
             let copied = copied.map_err(|error| FmuError::Member(format!("{name}: {error}")))?;
             left = left.checked_sub(copied).ok_or_else(|| {
-                FmuError::Member(format!("its members have more than {} MiB in all", MOST_BYTES >> 20))
+                FmuError::Member(format!("its members have more than {} MiB in all", MAX_UNPACKED_BYTES >> 20))
             })?;
         }
         std::fs::create_dir_all(folder.join("resources"))?;

@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 
 use crate::FmiVersion;
-use crate::description::{InvalidDescription, at, flag, required};
-use crate::unit::{BASE_UNITS, Conversion, Dimension, Unit};
-use crate::xml::Element;
+use crate::description::{InvalidDescription, error_at, bool_attribute, required_attribute};
+use crate::unit::{BASE_UNITS, Conversion, UnitDimension, DeclaredUnit};
+use crate::xml::XmlElement;
 
 /// Units by name, and the attributes of real types by the name of the type.
 pub(crate) struct Declarations<'a> {
     units: HashMap<&'a str, Conversion>,
-    types: HashMap<&'a str, &'a Element>,
+    types: HashMap<&'a str, &'a XmlElement>,
 }
 
 impl<'a> Declarations<'a> {
@@ -18,15 +18,15 @@ impl<'a> Declarations<'a> {
     ///
     /// # Errors
     /// [`InvalidDescription`] for a missing name, for two units of one name, and for numbers that are none.
-    pub(crate) fn read(root: &'a Element, version: FmiVersion) -> Result<Self, InvalidDescription> {
+    pub(crate) fn read(root: &'a XmlElement, version: FmiVersion) -> Result<Self, InvalidDescription> {
         let listed = |name: &str| root.child(name).into_iter().flat_map(|list| &list.children);
         let mut units = HashMap::new();
         for unit in listed("UnitDefinitions").filter(|child| child.name == "Unit") {
-            let name = required(unit, "name")?;
+            let name = required_attribute(unit, "name")?;
             // A unit without a base unit has a name only.
             let Some(base) = unit.child("BaseUnit") else { continue };
-            if units.insert(name, conversion(base)?).is_some() {
-                return Err(at(unit, format!("there are two units {name:?}")));
+            if units.insert(name, read_conversion(base)?).is_some() {
+                return Err(error_at(unit, format!("there are two units {name:?}")));
             }
         }
         let mut types = HashMap::new();
@@ -36,7 +36,7 @@ impl<'a> Declarations<'a> {
                 FmiVersion::Three => Some(declared).filter(|declared| declared.name == "Float64Type"),
             };
             if let Some(attributes) = attributes {
-                types.insert(required(declared, "name")?, attributes);
+                types.insert(required_attribute(declared, "name")?, attributes);
             }
         }
         Ok(Self { units, types })
@@ -46,11 +46,11 @@ impl<'a> Declarations<'a> {
     ///
     /// # Errors
     /// [`InvalidDescription`] for a type that is not declared.
-    pub(crate) fn unit_of(&self, variable: &Element) -> Result<Option<Unit>, InvalidDescription> {
+    pub(crate) fn unit_of(&self, variable: &XmlElement) -> Result<Option<DeclaredUnit>, InvalidDescription> {
         let declared = match variable.attribute("declaredType") {
             None => None,
             Some(name) => {
-                let missing = || at(variable, format!("declaredType: there is no real type {name:?}"));
+                let missing = || error_at(variable, format!("declaredType: there is no real type {name:?}"));
                 Some(*self.types.get(name).ok_or_else(missing)?)
             }
         };
@@ -60,34 +60,34 @@ impl<'a> Declarations<'a> {
             return Ok(None);
         };
         let mut unit = match self.units.get(name) {
-            Some(conversion) => Unit { name: name.to_owned(), conversion: Some(*conversion) },
-            None => Unit::undefined(name),
+            Some(conversion) => DeclaredUnit { name: name.to_owned(), conversion: Some(*conversion) },
+            None => DeclaredUnit::undefined(name),
         };
-        if owner_of("relativeQuantity").map_or(Ok(false), |owner| flag(owner, "relativeQuantity"))? {
-            unit.conversion = unit.conversion.map(Conversion::of_differences);
+        if owner_of("relativeQuantity").map_or(Ok(false), |owner| bool_attribute(owner, "relativeQuantity"))? {
+            unit.conversion = unit.conversion.map(Conversion::for_differences);
         }
         Ok(Some(unit))
     }
 }
 
 /// Reads a `BaseUnit`: exponents are 0, the factor 1 and the offset 0 unless they are given.
-fn conversion(base: &Element) -> Result<Conversion, InvalidDescription> {
+fn read_conversion(base: &XmlElement) -> Result<Conversion, InvalidDescription> {
     let mut exponents = [0; 8];
     for (exponent, name) in exponents.iter_mut().zip(BASE_UNITS) {
         let Some(text) = base.attribute(name) else { continue };
         *exponent =
-            text.trim().parse().map_err(|_| at(base, format!("`BaseUnit`: {name}: {text:?} is not a whole number")))?;
+            text.trim().parse().map_err(|_| error_at(base, format!("`BaseUnit`: {name}: {text:?} is not a whole number")))?;
     }
     let number = |name: &str, default: f64| match base.attribute(name) {
         None => Ok(default),
         Some(text) => {
             let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite());
-            number.ok_or_else(|| at(base, format!("`BaseUnit`: {name}: {text:?} is not a finite number")))
+            number.ok_or_else(|| error_at(base, format!("`BaseUnit`: {name}: {text:?} is not a finite number")))
         }
     };
     let (factor, offset) = (number("factor", 1.0)?, number("offset", 0.0)?);
     if factor == 0.0 {
-        return Err(at(base, "`BaseUnit`: factor: must not be 0"));
+        return Err(error_at(base, "`BaseUnit`: factor: must not be 0"));
     }
-    Ok(Conversion { dimension: Dimension(exponents), factor, offset })
+    Ok(Conversion { dimension: UnitDimension(exponents), factor, offset })
 }

@@ -1,11 +1,11 @@
 //! `modelDescription.xml`, as far as a controller needs it.
 
 use crate::declarations::Declarations;
-use crate::unit::Unit;
-use crate::xml::{Element, XmlProblem};
+use crate::unit::DeclaredUnit;
+use crate::xml::{XmlElement, XmlError};
 
 /// Most variables that are read.
-const MOST_VARIABLES: usize = 100_000;
+const MAX_VARIABLES: usize = 100_000;
 
 /// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and that of a declared type in `SimpleType`.
 const ELEMENTS: [&str; 16] = [
@@ -66,17 +66,17 @@ pub enum FmiVersion {
 
 /// What an FMU says of itself.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Description {
+pub struct ModelDescription {
     /// Which edition of the standard it follows.
     pub version: FmiVersion,
     /// Its name.
     pub model_name: String,
     /// `guid` of FMI 2, `instantiationToken` of FMI 3: its library compares it.
-    pub token: String,
+    pub instantiation_token: String,
     /// The name of its library, without an extension, and in FMI 2 of nothing else.
     pub model_identifier: String,
     /// Whether it can be instantiated once in a process: a run then begins with a reset.
-    pub is_instantiated_once: bool,
+    pub is_once_per_process: bool,
     /// Its variables of types that a controller can use, in the order of the text.
     pub variables: Vec<Variable>,
 }
@@ -87,15 +87,15 @@ pub struct Variable {
     /// Its name.
     pub name: String,
     /// By what its library knows it.
-    pub reference: u32,
+    pub value_reference: u32,
     /// What it is for.
     pub causality: Causality,
     /// Its type.
-    pub kind: Kind,
+    pub kind: VariableType,
     /// Its value unless it is set, as it is written.
     pub start: Option<String>,
     /// Unit of a real variable; none for a variable that declares no unit.
-    pub unit: Option<Unit>,
+    pub unit: Option<DeclaredUnit>,
     /// What it is, in the author's words.
     pub description: Option<String>,
 }
@@ -113,7 +113,7 @@ pub enum Causality {
 
 /// The type of a variable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum VariableType {
     /// `Real` of FMI 2, `Float64` of FMI 3.
     Real,
     /// `Integer` of FMI 2, `Int32` of FMI 3.
@@ -122,7 +122,7 @@ pub enum Kind {
     Boolean,
 }
 
-impl Kind {
+impl VariableType {
     /// Its name.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -164,7 +164,7 @@ pub enum InvalidDescription {
     NeedsTool,
     /// Something in it is missing or makes no sense.
     #[error("modelDescription.xml, line {line}: {problem}")]
-    At {
+    AtLine {
         /// The line, from 1.
         line: u32,
         /// What is wrong.
@@ -172,13 +172,13 @@ pub enum InvalidDescription {
     },
 }
 
-impl Description {
+impl ModelDescription {
     /// Reads a description.
     ///
     /// # Errors
     /// [`InvalidDescription`] for what is none, or of an FMU that cannot drive.
     pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
-        let root = &Element::read(text, &ELEMENTS, &ATTRIBUTES)?;
+        let root = &XmlElement::parse(text, &ELEMENTS, &ATTRIBUTES)?;
         let found = root.attribute("fmiVersion").unwrap_or_default();
         let version = match found.split('.').next() {
             Some("2") => FmiVersion::Two,
@@ -186,81 +186,81 @@ impl Description {
             _ => return Err(InvalidDescription::Version { found: found.to_owned() }),
         };
         let co_simulation = root.child("CoSimulation").ok_or(InvalidDescription::NoCoSimulation)?;
-        if flag(co_simulation, "needsExecutionTool")? {
+        if bool_attribute(co_simulation, "needsExecutionTool")? {
             return Err(InvalidDescription::NeedsTool);
         }
         let token = match version {
             FmiVersion::Two => "guid",
             FmiVersion::Three => "instantiationToken",
         };
-        let model_identifier = required(co_simulation, "modelIdentifier")?.to_owned();
+        let model_identifier = required_attribute(co_simulation, "modelIdentifier")?.to_owned();
         let is_identifier = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if model_identifier.is_empty() || !model_identifier.chars().all(is_identifier) {
-            return Err(at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
+            return Err(error_at(co_simulation, format!("modelIdentifier {model_identifier:?} is no identifier of C")));
         }
-        let listed = root.child("ModelVariables").ok_or_else(|| at(root, "there is no element `ModelVariables`"))?;
+        let listed = root.child("ModelVariables").ok_or_else(|| error_at(root, "there is no element `ModelVariables`"))?;
         let declarations = Declarations::read(root, version)?;
         let mut variables: Vec<Variable> = Vec::new();
         for element in &listed.children {
             let variable = match version {
-                FmiVersion::Two => of_fmi_2(element, &declarations)?,
-                FmiVersion::Three => of_fmi_3(element, &declarations)?,
+                FmiVersion::Two => read_fmi2_variable(element, &declarations)?,
+                FmiVersion::Three => read_fmi3_variable(element, &declarations)?,
             };
             variables.extend(variable);
-            if variables.len() > MOST_VARIABLES {
-                return Err(at(element, format!("there are more than {MOST_VARIABLES} variables")));
+            if variables.len() > MAX_VARIABLES {
+                return Err(error_at(element, format!("there are more than {MAX_VARIABLES} variables")));
             }
         }
         let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
         names.sort_unstable();
         if let Some([name, _]) = names.array_windows().find(|[name, next]| name == next) {
-            return Err(at(listed, format!("there are two variables {name:?}")));
+            return Err(error_at(listed, format!("there are two variables {name:?}")));
         }
         Ok(Self {
             version,
-            model_name: required(root, "modelName")?.to_owned(),
-            token: required(root, token)?.to_owned(),
+            model_name: required_attribute(root, "modelName")?.to_owned(),
+            instantiation_token: required_attribute(root, token)?.to_owned(),
             model_identifier,
-            is_instantiated_once: flag(co_simulation, "canBeInstantiatedOnlyOncePerProcess")?,
+            is_once_per_process: bool_attribute(co_simulation, "canBeInstantiatedOnlyOncePerProcess")?,
             variables,
         })
     }
 
     /// Its variables that are for something.
-    pub fn of(&self, causality: Causality) -> impl Iterator<Item = &Variable> {
+    pub fn with_causality(&self, causality: Causality) -> impl Iterator<Item = &Variable> {
         self.variables.iter().filter(move |variable| variable.causality == causality)
     }
 }
 
 /// Reads a `ScalarVariable`; none for one that a controller cannot use.
-fn of_fmi_2(element: &Element, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
-    let types = [("Real", Kind::Real), ("Integer", Kind::Integer), ("Boolean", Kind::Boolean)];
+fn read_fmi2_variable(element: &XmlElement, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
+    let types = [("Real", VariableType::Real), ("Integer", VariableType::Integer), ("Boolean", VariableType::Boolean)];
     let typed = types.into_iter().find_map(|(name, kind)| Some((element.child(name)?, kind)));
     match typed {
-        Some((typed, kind)) => variable(element, typed, kind, declarations),
+        Some((typed, kind)) => read_variable(element, typed, kind, declarations),
         None => Ok(None),
     }
 }
 
 /// Reads a variable of FMI 3; none for one that a controller cannot use, such as an array.
-fn of_fmi_3(element: &Element, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
+fn read_fmi3_variable(element: &XmlElement, declarations: &Declarations<'_>) -> Result<Option<Variable>, InvalidDescription> {
     let kind = match element.name {
-        "Float64" => Kind::Real,
-        "Int32" => Kind::Integer,
-        "Boolean" => Kind::Boolean,
+        "Float64" => VariableType::Real,
+        "Int32" => VariableType::Integer,
+        "Boolean" => VariableType::Boolean,
         _ => return Ok(None),
     };
     if element.child("Dimension").is_some() {
         return Ok(None);
     }
-    variable(element, element, kind, declarations)
+    read_variable(element, element, kind, declarations)
 }
 
 /// Reads a variable whose start value and unit are attributes of `typed`.
-fn variable(
-    element: &Element,
-    typed: &Element,
-    kind: Kind,
+fn read_variable(
+    element: &XmlElement,
+    typed: &XmlElement,
+    kind: VariableType,
     declarations: &Declarations<'_>,
 ) -> Result<Option<Variable>, InvalidDescription> {
     let causality = match element.attribute("causality") {
@@ -269,16 +269,16 @@ fn variable(
         Some("parameter") => Causality::Parameter,
         _ => return Ok(None),
     };
-    let reference = required(element, "valueReference")?;
+    let reference = required_attribute(element, "valueReference")?;
     let reference =
-        reference.parse().map_err(|_| at(element, format!("valueReference {reference:?} is no whole number")))?;
+        reference.parse().map_err(|_| error_at(element, format!("valueReference {reference:?} is no whole number")))?;
     Ok(Some(Variable {
-        name: required(element, "name")?.to_owned(),
-        reference,
+        name: required_attribute(element, "name")?.to_owned(),
+        value_reference: reference,
         causality,
         kind,
         start: typed.attribute("start").map(str::to_owned),
-        unit: if kind == Kind::Real { declarations.unit_of(typed)? } else { None },
+        unit: if kind == VariableType::Real { declarations.unit_of(typed)? } else { None },
         description: element.attribute("description").map(str::to_owned),
     }))
 }
@@ -287,30 +287,30 @@ fn variable(
 ///
 /// # Errors
 /// [`InvalidDescription`] if the element has no such attribute.
-pub(crate) fn required<'a>(of: &'a Element, name: &str) -> Result<&'a str, InvalidDescription> {
-    of.attribute(name).ok_or_else(|| at(of, format!("`{}` has no attribute `{name}`", of.name)))
+pub(crate) fn required_attribute<'a>(of: &'a XmlElement, name: &str) -> Result<&'a str, InvalidDescription> {
+    of.attribute(name).ok_or_else(|| error_at(of, format!("`{}` has no attribute `{name}`", of.name)))
 }
 
 /// Returns the value of a Boolean attribute, which is false by default.
 ///
 /// # Errors
 /// [`InvalidDescription`] for a value that is neither true nor false.
-pub(crate) fn flag(of: &Element, name: &str) -> Result<bool, InvalidDescription> {
+pub(crate) fn bool_attribute(of: &XmlElement, name: &str) -> Result<bool, InvalidDescription> {
     match of.attribute(name) {
         None | Some("false" | "0") => Ok(false),
         Some("true" | "1") => Ok(true),
-        Some(other) => Err(at(of, format!("{name}: {other:?} is neither true nor false"))),
+        Some(other) => Err(error_at(of, format!("{name}: {other:?} is neither true nor false"))),
     }
 }
 
 /// Returns an error at the line of an element.
-pub(crate) fn at(element: &Element, problem: impl Into<String>) -> InvalidDescription {
-    InvalidDescription::At { line: element.line, problem: problem.into() }
+pub(crate) fn error_at(element: &XmlElement, problem: impl Into<String>) -> InvalidDescription {
+    InvalidDescription::AtLine { line: element.line, problem: problem.into() }
 }
 
-impl From<XmlProblem> for InvalidDescription {
-    fn from(XmlProblem { line, problem }: XmlProblem) -> Self {
-        Self::At { line, problem }
+impl From<XmlError> for InvalidDescription {
+    fn from(XmlError { line, problem }: XmlError) -> Self {
+        Self::AtLine { line, problem }
     }
 }
 

@@ -22,5 +22,5 @@ mod unit;
 mod xml;
 
 pub use archive::{Fmu, FmuError};
-pub use description::{Causality, Description, FmiVersion, InvalidDescription, Kind, Variable};
-pub use unit::{Conversion, Dimension, Unit};
+pub use description::{Causality, ModelDescription, FmiVersion, InvalidDescription, VariableType, Variable};
+pub use unit::{Conversion, UnitDimension, DeclaredUnit};

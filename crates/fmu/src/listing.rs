@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::{Causality, Description, FmiVersion, Kind, Unit, Variable};
+use crate::{Causality, ModelDescription, FmiVersion, VariableType, DeclaredUnit, Variable};
 
 impl FmiVersion {
     /// Returns the number of the edition.
@@ -27,7 +27,7 @@ impl Causality {
     }
 }
 
-impl fmt::Display for Description {
+impl fmt::Display for ModelDescription {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "{}, FMI {}, co-simulation", self.model_name, self.version.name())?;
         self.variables.iter().try_for_each(|variable| writeln!(out, "{variable}"))
@@ -38,8 +38,8 @@ impl fmt::Display for Variable {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, causality, kind, start, unit, description, .. } = self;
         let parts = [
-            unit.as_ref().map(Unit::to_string),
-            (*kind != Kind::Real).then(|| kind.name().to_owned()),
+            unit.as_ref().map(DeclaredUnit::to_string),
+            (*kind != VariableType::Real).then(|| kind.name().to_owned()),
             start.as_ref().map(|start| format!("starts with {start}")),
             description.clone(),
         ];

@@ -2,32 +2,32 @@
 
 use std::fmt;
 
-/// Base units of FMI, in the order of [`Dimension`].
+/// Base units of FMI, in the order of [`UnitDimension`].
 pub(crate) const BASE_UNITS: [&str; 8] = ["kg", "m", "s", "A", "K", "mol", "cd", "rad"];
 
 /// Exponents of the SI base units kg, m, s, A, K, mol, cd, and of rad.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Dimension(pub(crate) [i32; 8]);
+pub struct UnitDimension(pub(crate) [i32; 8]);
 
-impl Dimension {
+impl UnitDimension {
     /// Dimension of a plain number.
     pub const NONE: Self = Self([0; 8]);
 
     /// Returns the dimension of metres and seconds to these powers: (1, -2) is an acceleration.
     #[must_use]
-    pub const fn motion(metres: i32, seconds: i32) -> Self {
+    pub const fn metres_seconds(metres: i32, seconds: i32) -> Self {
         Self([0, metres, seconds, 0, 0, 0, 0, 0])
     }
 
     /// Returns the dimension of an SI unit that is known by its name, without a definition.
-    fn of_si_name(name: &str) -> Option<Self> {
+    fn from_si_name(name: &str) -> Option<Self> {
         Some(match name {
             "1" => Self::NONE,
-            "m" => Self::motion(1, 0),
-            "s" => Self::motion(0, 1),
-            "1/s" | "s-1" => Self::motion(0, -1),
-            "m/s" | "m.s-1" | "m*s-1" => Self::motion(1, -1),
-            "m/s2" | "m/s^2" | "m/s**2" | "m/s²" | "m.s-2" | "m*s-2" => Self::motion(1, -2),
+            "m" => Self::metres_seconds(1, 0),
+            "s" => Self::metres_seconds(0, 1),
+            "1/s" | "s-1" => Self::metres_seconds(0, -1),
+            "m/s" | "m.s-1" | "m*s-1" => Self::metres_seconds(1, -1),
+            "m/s2" | "m/s^2" | "m/s**2" | "m/s²" | "m.s-2" | "m*s-2" => Self::metres_seconds(1, -2),
             "kg" => Self([1, 0, 0, 0, 0, 0, 0, 0]),
             "K" => Self([0, 0, 0, 0, 1, 0, 0, 0]),
             "rad" => Self([0, 0, 0, 0, 0, 0, 0, 1]),
@@ -39,7 +39,7 @@ impl Dimension {
 }
 
 /// Writes a unit of Modelica: `m.s-2`, or `1` for a plain number.
-impl fmt::Display for Dimension {
+impl fmt::Display for UnitDimension {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut separator = "";
         for (name, exponent) in BASE_UNITS.iter().zip(self.0).filter(|(_, exponent)| *exponent != 0) {
@@ -57,7 +57,7 @@ impl fmt::Display for Dimension {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conversion {
     /// Dimension of both values.
-    pub dimension: Dimension,
+    pub dimension: UnitDimension,
     /// SI units in one of this unit; finite and not 0.
     pub factor: f64,
     /// SI value of 0 in this unit; finite.
@@ -78,30 +78,30 @@ impl Conversion {
     }
 
     /// Returns the conversion of differences, to which an offset does not apply (`relativeQuantity`).
-    pub(crate) fn of_differences(self) -> Self {
+    pub(crate) fn for_differences(self) -> Self {
         Self { offset: 0.0, ..self }
     }
 }
 
 /// Unit that a variable declares.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Unit {
+pub struct DeclaredUnit {
     /// Name, as written.
     pub name: String,
     /// Conversion to SI units; none for a unit that the description does not define and that is not an SI unit by its name.
     pub conversion: Option<Conversion>,
 }
 
-impl Unit {
+impl DeclaredUnit {
     /// Returns the unit of a name that has no definition.
     pub(crate) fn undefined(name: &str) -> Self {
         let si = |dimension| Conversion { dimension, factor: 1.0, offset: 0.0 };
-        Self { name: name.to_owned(), conversion: Dimension::of_si_name(name).map(si) }
+        Self { name: name.to_owned(), conversion: UnitDimension::from_si_name(name).map(si) }
     }
 }
 
 /// Writes the name, and the conversion of a unit that is not an SI unit.
-impl fmt::Display for Unit {
+impl fmt::Display for DeclaredUnit {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&self.name)?;
         match &self.conversion {
@@ -127,19 +127,19 @@ mod tests {
         let unit = |name: &str, dimension, factor, offset| {
             Unit { name: name.to_owned(), conversion: Some(Conversion { dimension, factor, offset }) }.to_string()
         };
-        assert_eq!(unit("m/s", Dimension::motion(1, -1), 1.0, 0.0), "m/s");
-        assert_eq!(unit("ft", Dimension::motion(1, 0), 0.3048, 0.0), "ft (SI: 0.3048 x m)");
-        assert_eq!(unit("degC", Dimension([0, 0, 0, 0, 1, 0, 0, 0]), 1.0, 273.15), "degC (SI: 1 x + 273.15 K)");
+        assert_eq!(unit("m/s", UnitDimension::motion(1, -1), 1.0, 0.0), "m/s");
+        assert_eq!(unit("ft", UnitDimension::motion(1, 0), 0.3048, 0.0), "ft (SI: 0.3048 x m)");
+        assert_eq!(unit("degC", UnitDimension([0, 0, 0, 0, 1, 0, 0, 0]), 1.0, 273.15), "degC (SI: 1 x + 273.15 K)");
         assert_eq!(Unit::undefined("furlong").to_string(), "furlong (not defined)");
-        assert_eq!(Dimension::NONE.to_string(), "1");
-        assert_eq!(Dimension::motion(1, -2).to_string(), "m.s-2");
-        assert_eq!(Unit::undefined("m/s²").conversion.map(|found| found.dimension), Some(Dimension::motion(1, -2)));
+        assert_eq!(UnitDimension::NONE.to_string(), "1");
+        assert_eq!(UnitDimension::motion(1, -2).to_string(), "m.s-2");
+        assert_eq!(Unit::undefined("m/s²").conversion.map(|found| found.dimension), Some(UnitDimension::motion(1, -2)));
     }
 
     #[test]
     fn si_values_are_converted_by_factor_and_offset() {
-        let fahrenheit = Conversion { dimension: Dimension::NONE, factor: 5.0 / 9.0, offset: 459.67 * 5.0 / 9.0 };
+        let fahrenheit = Conversion { dimension: UnitDimension::NONE, factor: 5.0 / 9.0, offset: 459.67 * 5.0 / 9.0 };
         assert!((fahrenheit.from_si(273.15) - 32.0).abs() < 1e-9);
-        assert!((fahrenheit.of_differences().from_si(10.0) - 18.0).abs() < 1e-9);
+        assert!((fahrenheit.for_differences().from_si(10.0) - 18.0).abs() < 1e-9);
     }
 }

@@ -6,37 +6,37 @@ use quick_xml::{Reader, XmlVersion};
 /// Deepest level of an element that is kept, with the root on level 1. Dropping elements recurses to this depth.
 const MAX_DEPTH: usize = 4;
 /// Most elements and attributes that are kept.
-const MAX_KEPT: usize = 4_000_000;
+const MAX_ITEMS: usize = 4_000_000;
 
 /// An element with the attributes and children that the reader asked for.
 #[derive(Debug)]
-pub(crate) struct Element {
+pub(crate) struct XmlElement {
     /// Name without a namespace prefix.
     pub(crate) name: &'static str,
     /// Line of its start tag, from 1.
     pub(crate) line: u32,
     attributes: Vec<(&'static str, String)>,
     /// Children in the order of the text.
-    pub(crate) children: Vec<Element>,
+    pub(crate) children: Vec<XmlElement>,
 }
 
 /// Reason why a text is refused.
 #[derive(Debug)]
-pub(crate) struct XmlProblem {
+pub(crate) struct XmlError {
     /// Line, from 1.
     pub(crate) line: u32,
     /// What is wrong there.
     pub(crate) problem: String,
 }
 
-impl Element {
+impl XmlElement {
     /// Returns the value of an attribute.
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(other, _)| *other == name).map(|(_, value)| value.as_str())
     }
 
     /// Returns the first child of a name.
-    pub(crate) fn child(&self, name: &str) -> Option<&Element> {
+    pub(crate) fn child(&self, name: &str) -> Option<&XmlElement> {
         self.children.iter().find(|child| child.name == name)
     }
 
@@ -44,25 +44,25 @@ impl Element {
     /// is not kept is not kept either.
     ///
     /// # Errors
-    /// [`XmlProblem`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
-    pub(crate) fn read(text: &str, elements: &[&'static str], attributes: &[&'static str]) -> Result<Self, XmlProblem> {
-        let mut names = Names { elements, attributes, kept: 0 };
+    /// [`XmlError`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
+    pub(crate) fn parse(text: &str, elements: &[&'static str], attributes: &[&'static str]) -> Result<Self, XmlError> {
+        let mut names = XmlFilter { elements, attributes, kept_items: 0 };
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let mut lines = Lines { text: text.as_bytes(), offset: 0, line: 1 };
+        let mut lines = LineCounter { text: text.as_bytes(), offset: 0, line: 1 };
         let mut reader = Reader::from_str(text);
         let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
             let line = lines.line_at(if event.is_err() { reader.error_position() } else { start });
-            let wrong = |problem: String| XmlProblem { line, problem };
+            let wrong = |problem: String| XmlError { line, problem };
             let is_outside = open.is_empty() && skipped == 0;
             let done = match event.map_err(|error| wrong(error.to_string()))? {
                 Event::Start(_) | Event::Empty(_) if is_outside && root.is_some() => {
                     return Err(wrong("there is a second root element".to_owned()));
                 }
                 Event::Start(tag) => {
-                    let element = names.element(&tag, line).map_err(wrong)?;
+                    let element = names.read_start_tag(&tag, line).map_err(wrong)?;
                     match element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH) {
                         Some(element) => open.push(element),
                         None => skipped += 1,
@@ -70,7 +70,7 @@ impl Element {
                     None
                 }
                 Event::Empty(tag) => {
-                    let element = names.element(&tag, line).map_err(wrong)?;
+                    let element = names.read_start_tag(&tag, line).map_err(wrong)?;
                     element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH)
                 }
                 Event::End(_) if skipped > 0 => {
@@ -100,15 +100,15 @@ impl Element {
 }
 
 /// Names that are kept, and the number of elements and attributes that were kept so far.
-struct Names<'n> {
+struct XmlFilter<'n> {
     elements: &'n [&'static str],
     attributes: &'n [&'static str],
-    kept: usize,
+    kept_items: usize,
 }
 
-impl Names<'_> {
+impl XmlFilter<'_> {
     /// Reads a start tag; none for an element that is not kept. Attributes are checked in any case.
-    fn element(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<Element>, String> {
+    fn read_start_tag(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<XmlElement>, String> {
         let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
         let mut attributes = Vec::new();
         for attribute in tag.attributes() {
@@ -120,22 +120,22 @@ impl Names<'_> {
             }
         }
         let Some(name) = find(self.elements, tag.local_name().as_ref()) else { return Ok(None) };
-        self.kept += 1 + attributes.len();
-        if self.kept > MAX_KEPT {
-            return Err(format!("there are more than {MAX_KEPT} elements and attributes"));
+        self.kept_items += 1 + attributes.len();
+        if self.kept_items > MAX_ITEMS {
+            return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
         }
-        Ok(Some(Element { name, line, attributes, children: Vec::new() }))
+        Ok(Some(XmlElement { name, line, attributes, children: Vec::new() }))
     }
 }
 
 /// Line numbers of increasing places in a text.
-struct Lines<'a> {
+struct LineCounter<'a> {
     text: &'a [u8],
     offset: usize,
     line: u32,
 }
 
-impl Lines<'_> {
+impl LineCounter<'_> {
     /// Returns the line at a byte offset, which must not be before that of the last call.
     fn line_at(&mut self, offset: u64) -> u32 {
         let offset = usize::try_from(offset).unwrap_or(usize::MAX).min(self.text.len());

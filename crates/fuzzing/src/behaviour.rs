@@ -12,29 +12,29 @@ use crumple_world::scenario::Driver;
 use crumple_world::sim::{Simulated, Track};
 
 /// Smallest gaps that are told apart, in metres.
-const GAPS_M: [f64; 12] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0];
+const GAP_BINS_M: [f64; 12] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0];
 /// Smallest times to collision that are told apart, in seconds.
-const TTC_S: [f64; 8] = [8.0, 4.0, 2.0, 1.4, 1.0, 0.7, 0.4, 0.2];
+const TTC_BINS_S: [f64; 8] = [8.0, 4.0, 2.0, 1.4, 1.0, 0.7, 0.4, 0.2];
 /// Impact speeds are told apart by this, in m/s.
-const IMPACT_MPS: f64 = 2.0;
-const IMPACTS: usize = 24;
+const IMPACT_BIN_MPS: f64 = 2.0;
+const IMPACT_BINS: usize = 24;
 /// Applications of an emergency brake that are told apart.
-const MODE_CHANGES: usize = 8;
+const BRAKE_ONSET_BINS: usize = 8;
 /// Vehicles that are told apart.
-const VEHICLES: usize = 6;
+const VEHICLE_BINS: usize = 6;
 /// Roles in a contact that are told apart.
-const ROLES: usize = 3;
+const ROLE_COUNT: usize = 3;
 
 /// Kinds of approaches and of collisions that are told apart: places in a hash table.
-const KINDS: usize = 4096;
+const KIND_BINS: usize = 4096;
 
 /// The number of features there are.
-pub const FEATURES: usize =
-    VEHICLES * (GAPS_M.len() + 1 + TTC_S.len() + 1 + MODE_CHANGES) + ROLES * (VEHICLES + IMPACTS) + 2 * KINDS;
+pub const FEATURE_COUNT: usize =
+    VEHICLE_BINS * (GAP_BINS_M.len() + 1 + TTC_BINS_S.len() + 1 + BRAKE_ONSET_BINS) + ROLE_COUNT * (VEHICLE_BINS + IMPACT_BINS) + 2 * KIND_BINS;
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]
-pub(crate) fn features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
+pub(crate) fn extract_features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
     let mut found = Vec::new();
     let mut start = 0;
     let mut group = |size: usize, value: Option<usize>| {
@@ -42,50 +42,50 @@ pub(crate) fn features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
         start += size;
     };
     let below = |steps: &[f64], value: f64| steps.iter().filter(|&&step| value <= step).count();
-    for vehicle in 0..VEHICLES {
+    for vehicle in 0..VEHICLE_BINS {
         let summary = result.vehicles.get(vehicle);
         let min_gap_m = summary.and_then(|summary| summary.min_gap_m);
-        group(GAPS_M.len() + 1, min_gap_m.map(|gap_m| below(&GAPS_M, gap_m)));
+        group(GAP_BINS_M.len() + 1, min_gap_m.map(|gap_m| below(&GAP_BINS_M, gap_m)));
         let min_ttc_s = summary.and_then(|summary| summary.min_ttc_s);
-        group(TTC_S.len() + 1, min_ttc_s.map(|ttc_s| below(&TTC_S, ttc_s)));
+        group(TTC_BINS_S.len() + 1, min_ttc_s.map(|ttc_s| below(&TTC_BINS_S, ttc_s)));
         let track = result.trace.as_ref().and_then(|trace| trace.vehicles.get(vehicle));
         let limit_mps2 = test_case.scenario.usable_brake_mps2(vehicle);
         let is_scripted =
             test_case.scenario.vehicles().get(vehicle).is_none_or(|v| matches!(v.driver, Driver::Profile(_)));
-        group(MODE_CHANGES, track.filter(|_| !is_scripted).map(|track| full_brakes(track, limit_mps2)));
+        group(BRAKE_ONSET_BINS, track.filter(|_| !is_scripted).map(|track| full_braking_onsets(track, limit_mps2)));
     }
     let first = result.outcome.contact();
     let of_role = |role| first.filter(|contact| ContactRole::of(contact, &test_case.scenario) == role);
     for role in [ContactRole::Hits, ContactRole::IsHit, ContactRole::Bystander] {
-        group(VEHICLES, of_role(role).map(|contact| contact.rear_vehicle));
-        group(IMPACTS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_MPS) as usize));
+        group(VEHICLE_BINS, of_role(role).map(|contact| contact.rear_vehicle));
+        group(IMPACT_BINS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize));
     }
-    group(KINDS, failure(test_case, result).map(|kind| place(&kind)));
+    group(KIND_BINS, failure(test_case, result).map(|kind| place(&kind)));
     found.extend(approaches(test_case, result).map(|kind| start + place(&kind)));
     found
 }
 
 /// How near each pair came to each other, and who drives the two.
-fn approaches<'a>(test_case: &'a TestCase, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
+fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
     let vehicles = test_case.scenario.vehicles();
     let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
     pairs.filter_map(move |(index, (pair, summary))| {
-        let nearness = GAPS_M.iter().filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step)).count();
+        let nearness = GAP_BINS_M.iter().filter(|&&step| summary.min_gap_m.is_some_and(|gap_m| gap_m <= step)).count();
         let [front, rear] = pair else { return None };
         Some(format!("{index} of {}, {} and {}, {nearness}", vehicles.len(), front.driver.name(), rear.driver.name()))
     })
 }
 
-/// Where in a table of [`KINDS`] a kind is counted (FNV-1a).
-fn place(kind: &str) -> usize {
+/// Where in a table of [`KIND_BINS`] a kind is counted (FNV-1a).
+fn kind_bin(kind: &str) -> usize {
     let hash = kind
         .bytes()
         .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
-    (hash % KINDS as u64) as usize
+    (hash % KIND_BINS as u64) as usize
 }
 
 /// How often full braking began.
-fn full_brakes(track: &Track, limit_mps2: f64) -> usize {
+fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
     let full = |a: &f64| *a <= -0.95 * limit_mps2;
     let then = track.acceleration_mps2.iter().skip(1);
     track.acceleration_mps2.iter().zip(then).filter(|(now, then)| !full(now) && full(then)).count()
@@ -94,7 +94,7 @@ fn full_brakes(track: &Track, limit_mps2: f64) -> usize {
 /// A name for the kind of collision a run ended in, the same for collisions that tell a reader the same: who is under
 /// test, who hits whom in how long a line, how hard. None if no vehicle under test touched anything.
 #[must_use]
-pub(crate) fn failure(test_case: &TestCase, result: &Simulated) -> Option<String> {
+pub(crate) fn collision_kind(test_case: &TestCase, result: &Simulated) -> Option<String> {
     let contact = result.outcome.contact()?;
     let vehicles = test_case.scenario.vehicles();
     let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());
@@ -107,7 +107,7 @@ pub(crate) fn failure(test_case: &TestCase, result: &Simulated) -> Option<String
         "hits" => (contact.rear_vehicle, contact.front_vehicle),
         _ => (contact.front_vehicle, contact.rear_vehicle),
     };
-    let speed_mps = (contact.impact_speed_mps / IMPACT_MPS).floor() * IMPACT_MPS;
+    let speed_mps = (contact.impact_speed_mps / IMPACT_BIN_MPS).floor() * IMPACT_BIN_MPS;
     let controller = Path::new(test_case.setup.controller.name()).file_stem().unwrap_or_default().to_string_lossy();
     Some(format!("{controller}-{own}-of-{}-{verb}-{}-at-{speed_mps:02}-mps", vehicles.len(), name(other)))
 }

@@ -14,11 +14,11 @@ impl<'b> Choices<'b> {
     }
 
     /// The next `bytes` bytes by themselves: however many of them are used, what follows stays in its place.
-    pub(super) fn block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
+    pub(super) fn read_block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
         Self::new(from.bytes(bytes.min(from.len())).unwrap_or_default())
     }
 
-    pub(super) fn sub_block(&mut self, bytes: usize) -> Self {
+    pub(super) fn read_sub_block(&mut self, bytes: usize) -> Self {
         Self::block(&mut self.0, bytes)
     }
 
@@ -32,7 +32,7 @@ impl<'b> Choices<'b> {
     }
 
     /// From 0 to 1.
-    fn share(&mut self) -> f64 {
+    fn unit_interval(&mut self) -> f64 {
         f64::from(self.0.arbitrary::<u16>().unwrap_or_default()) / f64::from(u16::MAX)
     }
 
@@ -42,7 +42,7 @@ impl<'b> Choices<'b> {
     }
 
     /// A number about `nominal`, up to either end of a range: the lowest bit says to which side.
-    pub(super) fn about(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
+    pub(super) fn around(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
         let bits = self.0.arbitrary::<u16>().unwrap_or_default();
         let share = f64::from(bits >> 1) / f64::from(u16::MAX >> 1);
         let end = if bits & 1 == 0 { most } else { least };
@@ -51,19 +51,19 @@ impl<'b> Choices<'b> {
     }
 
     /// Whether something happens that is not nominal, in about `times` of 256 cases.
-    pub(super) fn happens(&mut self, times: u8) -> bool {
+    pub(super) fn chance(&mut self, times: u8) -> bool {
         self.byte() > u8::MAX - times
     }
 
     /// A value instead of the nominal none, in about `times` of 256 cases.
-    pub(super) fn sometimes(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
+    pub(super) fn optional(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
         let happens = self.happens(times);
         let value = value(self);
         happens.then_some(value)
     }
 
     /// One of `all`, the first of which is nominal.
-    pub(super) fn one_of<T: Copy>(&mut self, all: &[T]) -> Option<T> {
+    pub(super) fn choose<T: Copy>(&mut self, all: &[T]) -> Option<T> {
         all.get(usize::from(self.byte()) % all.len().max(1)).copied()
     }
 }

@@ -9,16 +9,16 @@ use crumple_world::sim::Simulated;
 
 /// A folder of scenario files, each named after the collision in it.
 #[derive(Debug, Clone)]
-pub(crate) struct Collection {
+pub(crate) struct CollisionCorpus {
     folder: PathBuf,
 }
 
-impl Collection {
+impl CollisionCorpus {
     /// The collection in a folder, which is made if it is not there.
     ///
     /// # Errors
     /// What the system says if it cannot be made.
-    pub(crate) fn in_folder(folder: &Path) -> io::Result<Self> {
+    pub(crate) fn open(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         Ok(Self { folder: folder.to_owned() })
     }
@@ -27,7 +27,7 @@ impl Collection {
     ///
     /// # Errors
     /// What the system says if it cannot be written.
-    pub(crate) fn keep(&self, test_case: &TestCase, result: &Simulated) -> io::Result<Option<PathBuf>> {
+    pub(crate) fn insert(&self, test_case: &TestCase, result: &Simulated) -> io::Result<Option<PathBuf>> {
         let Some(kind) = behaviour::failure(test_case, result) else { return Ok(None) };
         let path = self.folder.join(format!("{kind}.toml"));
         if path.exists() {

@@ -4,22 +4,22 @@ use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use super::{Collection, Crumple, TestCase, TestedController, Violation, behaviour};
+use super::{CollisionCorpus, Crumple, TestCase, TestedController, Violation, behaviour};
 use crumple_world::control::FmuProblem;
 use crumple_world::scenario::controller_file::ControllerFileError;
 use crumple_world::scenario::{InvalidField, Scenario, whole_multiple};
 use crumple_world::sim::{Run, RunError, UnknownController};
 
 /// All oracles take many times as long as a run: they are asked of what is new, and of every so many inputs.
-const EVERY: usize = 16;
+const FULL_CHECK_INTERVAL: usize = 16;
 
 /// What the fuzz target `scenario` does with its inputs.
 #[derive(Debug)]
 pub struct CollisionSearch {
     controller: Option<TestedController>,
-    collisions: Option<Collection>,
-    seen: Vec<AtomicBool>,
-    inputs: AtomicUsize,
+    collisions: Option<CollisionCorpus>,
+    seen_features: Vec<AtomicBool>,
+    input_count: AtomicUsize,
 }
 
 /// What a hunt ends with.
@@ -65,7 +65,7 @@ impl CollisionSearch {
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         Ok(Self {
             controller: if controller == "any" { None } else { Some(tested(controller)?) },
-            collisions: collisions.map(Collection::in_folder).transpose()?,
+            collisions: collisions.map(CollisionCorpus::in_folder).transpose()?,
             seen: (0..behaviour::FEATURES).map(|_| AtomicBool::new(false)).collect(),
             inputs: AtomicUsize::new(0),
         })
@@ -74,10 +74,10 @@ impl CollisionSearch {
     /// Returns the test case that an input stands for in this search. Its scenario has a step at which the controller can decide.
     #[must_use]
     pub fn test_case(&self, bytes: &[u8]) -> TestCase {
-        let mut test_case = TestCase::of_bytes(bytes);
+        let mut test_case = TestCase::from_bytes(bytes);
         if let Some(controller) = &self.controller {
             if let Some(Ok(scenario)) =
-                controller.interval_s().map(|interval_s| with_step_for(&test_case.scenario, interval_s))
+                controller.interval_s().map(|interval_s| with_compatible_step(&test_case.scenario, interval_s))
             {
                 test_case.scenario = scenario;
             }
@@ -93,18 +93,18 @@ impl CollisionSearch {
     ///
     /// # Errors
     /// [`CollisionSearchError`] for a broken law, or a collision that cannot be kept.
-    pub fn take(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
+    pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
         if let Err(RunError::Shield { .. } | RunError::Needs { .. }) = Run::new(&test_case.scenario, options) {
             return Ok(Vec::new());
         }
-        let result = test_case.examine_run(&Crumple)?;
+        let result = test_case.check_run(&Crumple)?;
         let features = behaviour::features(&test_case, &result);
         let is_new = |&feature: &usize| self.seen.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
         // Every feature is marked, so no short cut.
         let news = features.iter().filter(|feature| is_new(feature)).count();
-        if news > 0 || self.inputs.fetch_add(1, Ordering::Relaxed).is_multiple_of(EVERY) {
+        if news > 0 || self.inputs.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
             test_case.examine(&Crumple)?;
         }
         if let Some(collisions) = &self.collisions {
@@ -115,7 +115,7 @@ impl CollisionSearch {
 }
 
 /// Returns a controller that runs in this process, by its name.
-fn tested(name: &str) -> Result<TestedController, CollisionSearchError> {
+fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {
     let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
     let controller = TestedController::named(name).map_err(|error| match error {
         // A build without processes refuses FMUs by itself, without saying what to do.
@@ -126,7 +126,7 @@ fn tested(name: &str) -> Result<TestedController, CollisionSearchError> {
         return Err(other_process());
     }
     if let Some(interval_s) = controller.interval_s() {
-        with_step_for(&TestCase::of_bytes(&[]).scenario, interval_s).map_err(|reason| {
+        with_compatible_step(&TestCase::from_bytes(&[]).scenario, interval_s).map_err(|reason| {
             CollisionSearchError::Interval { controller: name.to_owned(), interval_s, reason: Box::new(reason) }
         })?;
     }
@@ -137,7 +137,7 @@ fn tested(name: &str) -> Result<TestedController, CollisionSearchError> {
 ///
 /// # Errors
 /// [`InvalidField`] if no scenario may have that step.
-fn with_step_for(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
+fn with_compatible_step(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
     let step_s = scenario.spec().step_s;
     if whole_multiple(interval_s, step_s).is_some() {
         return Ok(scenario.clone());

@@ -10,30 +10,30 @@ use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, Pieces, 
 /// Bytes that a driver is read from.
 pub(super) const DRIVER_BYTES: usize = 26;
 /// Most entries of a script that is a list.
-const MOST_ENTRIES: u8 = 5;
+const MAX_ENTRIES: u8 = 5;
 
 /// A driver of a sort.
-pub(super) fn driver(kind: Kind, choices: &mut Choices<'_>) -> Driver {
+pub(super) fn read_driver(kind: Kind, choices: &mut Choices<'_>) -> Driver {
     match kind {
         Kind::UnderTest => Driver::UnderTest,
-        Kind::Profile(index) => Driver::Profile(profile_of(index, choices)),
-        Kind::Controller(index) => Driver::Controller(controller_of(index, choices)),
+        Kind::Profile(index) => Driver::Profile(read_profile(index, choices)),
+        Kind::Controller(index) => Driver::Controller(read_controller(index, choices)),
     }
 }
 
 /// A lead profile of the `index`-th sort, with its onset in the first 3 s and never more than 9 m/s² of braking.
 #[must_use]
-pub fn profile(index: u8, bytes: &[u8]) -> LeadProfile {
-    profile_of(index, &mut Choices::new(bytes))
+pub fn profile_from_bytes(index: u8, bytes: &[u8]) -> LeadProfile {
+    read_profile(index, &mut Choices::new(bytes))
 }
 
 /// The `index`-th built-in controller with any sensible settings; no bytes are its defaults.
 #[must_use]
-pub fn controller(index: u8, bytes: &[u8]) -> ControllerSpec {
-    controller_of(index, &mut Choices::new(bytes))
+pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> ControllerSpec {
+    read_controller(index, &mut Choices::new(bytes))
 }
 
-fn profile_of(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
+fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
     // The paper's leader brakes at 3 m/s² from 1 s on.
     let onset_s = |choices: &mut Choices<'_>| choices.about(1.0, [0.0, 3.0]);
     let rate_mps2 = |choices: &mut Choices<'_>| choices.about(3.0, [0.0, 9.0]);
@@ -63,7 +63,7 @@ fn profile_of(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
 }
 
 /// Increasing times, and a value at each.
-fn series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
+fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let entries = 1 + choices.byte() % MOST_ENTRIES;
     let mut time_s = 0.0;
     (0..entries)
@@ -80,7 +80,7 @@ pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
     rules.chain([ControllerSpec::Policy(Default::default())]).collect()
 });
 
-fn controller_of(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
+fn read_controller(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
     let mut spec = CONTROLLERS[usize::from(index) % CONTROLLERS.len()].clone();
     for (place, field) in spec.fields().iter().enumerate() {
         if let Some(value) = spec.get_mut(place) {
@@ -91,7 +91,7 @@ fn controller_of(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
 }
 
 /// Makes a vehicle follow a script that it is able to follow: strong enough, and without delay.
-pub fn script(vehicle: &mut VehicleSpec, profile: LeadProfile) {
+pub fn make_scripted(vehicle: &mut VehicleSpec, profile: LeadProfile) {
     let [lowest_mps2, highest_mps2] = profile.acceleration_range_mps2();
     if -lowest_mps2 > vehicle.max_brake_mps2() {
         vehicle.max_brake_mps2 = Some(-lowest_mps2);

@@ -4,17 +4,17 @@ use super::choices::Choices;
 use crumple_world::measure::stl::{Comparison, Formula, FormulaError, Interval, Relation};
 
 /// How deep formulas nest.
-const DEEPEST: u32 = 3;
+const MAX_DEPTH: u32 = 3;
 
 /// Any formula over some signals, with windows of whole steps.
 ///
 /// # Errors
 /// [`FormulaError`] if a signal's name cannot be written in a formula.
-pub fn any_formula(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
-    Source { choices: Choices::new(bytes), names, step_s }.formula(DEEPEST)
+pub fn formula_from_bytes(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
+    Source { choices: Choices::new(bytes), names, step_s }.formula(MAX_DEPTH)
 }
 
-struct Source<'a> {
+struct FormulaReader<'a> {
     choices: Choices<'a>,
     names: &'a [&'a str],
     step_s: f64,

@@ -18,7 +18,7 @@ pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>)
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];
     (0..MOST_VEHICLES * places.len()).fold(scenario, |scenario, index| {
-        let change = change(&mut choices.sub_block(CHANGE_BYTES), scenario.spec().duration_s);
+        let change = change(&mut choices.read_sub_block(CHANGE_BYTES), scenario.spec().duration_s);
         let (vehicle, place) = (index / places.len(), places[index % places.len()]);
         let set = |spec: &mut ScenarioSpec| {
             if let Some(vehicle) = spec.vehicles.get_mut(vehicle) {
@@ -32,7 +32,7 @@ pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>)
     })
 }
 
-fn change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneChange> {
+fn read_lane_change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneChange> {
     let happens = choices.happens(128);
     let kind = choices.byte() % 3;
     let change = match kind {

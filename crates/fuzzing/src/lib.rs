@@ -13,7 +13,7 @@ mod choices;
 mod collection;
 mod collision_search;
 mod driver;
-mod folder;
+mod run_folder;
 mod formula;
 mod lanes;
 pub mod oracle;
@@ -28,15 +28,15 @@ use std::fmt;
 
 use arbitrary::{Arbitrary, Unstructured};
 
-pub(crate) use collection::Collection;
+pub(crate) use collection::CollisionCorpus;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
 pub use driver::{CONTROLLERS, controller, profile, script};
 pub use formula::any_formula;
 pub(crate) use lanes::{LANE_BYTES, with_lane_changes};
-pub(crate) use oracle::ORACLES_OF_A_RUN;
+pub(crate) use oracle::RUN_ORACLE_COUNT;
 pub use oracle::{Checked, LANE_ORACLES, ORACLES, Oracle, Question};
 pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
-pub use setup::{FoundController, SETUP_BYTES, Setup, TestedController};
+pub use setup::{ControllerByName, SETUP_BYTES, Setup, TestedController};
 pub use shape::{Kind, Shape};
 pub use system::{Crumple, FileFormat, Sight, System};
 pub use violation::{Law, Violation};
@@ -78,14 +78,14 @@ impl fmt::Debug for TestCase {
 impl TestCase {
     /// The test case that bytes stand for; no bytes are the paper's scenario 1 under the baseline.
     #[must_use]
-    pub fn of_bytes(bytes: &[u8]) -> Self {
+    pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
         Self { scenario: scenario(&mut from), setup: Setup::read(&mut from) }
     }
 
-    /// The test case that bytes stand for, with changes of lanes after the others; without them it is that of [`TestCase::of_bytes`].
+    /// The test case that bytes stand for, with changes of lanes after the others; without them it is that of [`TestCase::from_bytes`].
     #[must_use]
-    pub fn with_lanes(bytes: &[u8]) -> Self {
+    pub fn from_bytes_with_lanes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
         let (scenario, setup) = (scenario(&mut from), Setup::read(&mut from));
         Self { scenario: with_lane_changes(scenario, &mut from), setup }
@@ -93,7 +93,7 @@ impl TestCase {
 
     /// This test case with another controller under test.
     #[must_use]
-    pub(crate) fn under_test(mut self, controller: TestedController) -> Self {
+    pub(crate) fn with_controller(mut self, controller: TestedController) -> Self {
         self.setup.controller = controller;
         self
     }
@@ -102,27 +102,27 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub fn examine(&self, system: &dyn System) -> Result<Simulated, Violation> {
-        self.ask_all(&ORACLES, system)
+    pub fn check_all(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.check_each(&ORACLES, system)
     }
 
     /// Asks every oracle that holds where vehicles enter or leave the lane.
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn examine_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
-        self.ask_all(&LANE_ORACLES, system)
+    pub(crate) fn check_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.check_each(&LANE_ORACLES, system)
     }
 
     /// Asks the oracles that look at one run only, which costs little more than the run.
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn examine_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
-        self.ask_all(&ORACLES[..ORACLES_OF_A_RUN], system)
+    pub(crate) fn check_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
+        self.check_each(&ORACLES[..RUN_ORACLE_COUNT], system)
     }
 
-    fn ask_all(&self, oracles: &[Oracle], system: &dyn System) -> Result<Simulated, Violation> {
+    fn check_each(&self, oracles: &[Oracle], system: &dyn System) -> Result<Simulated, Violation> {
         let question = Question::new(self, system)?;
         for &oracle in oracles {
             question.ask(oracle)?;
@@ -134,7 +134,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The [`Violation`] it found.
-    pub fn ask(&self, oracle: Oracle, system: &dyn System) -> Result<Checked, Violation> {
+    pub fn check(&self, oracle: Oracle, system: &dyn System) -> Result<Checked, Violation> {
         Question::new(self, system)?.ask(oracle)
     }
 }

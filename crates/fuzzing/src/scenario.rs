@@ -27,7 +27,7 @@ const GAP_M: f64 = 16.0;
 /// Every field of a scenario has its place in the bytes, whatever stands in the others, so that a change of a byte is a
 /// change of a field. The shape comes first, then duration, road and noise, then gaps, speeds and drivers, and last what a
 /// vehicle is like.
-pub fn scenario(from: &mut Unstructured<'_>) -> Scenario {
+pub fn read_scenario(from: &mut Unstructured<'_>) -> Scenario {
     let shape = Shape::read(from);
     scenario_of(&shape, from)
 }
@@ -37,13 +37,13 @@ pub fn scenario(from: &mut Unstructured<'_>) -> Scenario {
     clippy::expect_used,
     reason = "valid by construction: a failure is a defect of this module, and tests look for it"
 )]
-pub fn scenario_of(shape: &Shape, from: &mut Unstructured<'_>) -> Scenario {
+pub fn read_scenario_of_shape(shape: &Shape, from: &mut Unstructured<'_>) -> Scenario {
     let mut road = Choices::block(from, ROAD_BYTES);
     let mut drives = Choices::block(from, MOST_VEHICLES * DRIVE_BYTES);
     let mut bodies = Choices::block(from, MOST_VEHICLES * BODY_BYTES);
     let count = shape.drivers.len();
     let vehicles = shape.drivers.iter().enumerate().map(|(index, &kind)| {
-        let (mut drive, mut body) = (drives.sub_block(DRIVE_BYTES), bodies.sub_block(BODY_BYTES));
+        let (mut drive, mut body) = (drives.read_sub_block(DRIVE_BYTES), bodies.read_sub_block(BODY_BYTES));
         let (gap_m, speed_mps) = motion(&mut drive);
         let mut vehicle = vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
         match driver(kind, &mut drive) {
@@ -53,11 +53,11 @@ pub fn scenario_of(shape: &Shape, from: &mut Unstructured<'_>) -> Scenario {
         vehicle
     });
     let vehicles = vehicles.collect();
-    Scenario::new(on_road(shape.step_s, vehicles, &mut road)).expect("valid by construction")
+    Scenario::new(scenario_spec(shape.step_s, vehicles, &mut road)).expect("valid by construction")
 }
 
 /// Everything but the vehicles, and each vehicle's place behind the one ahead.
-fn on_road(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
+fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
     // Most scenarios are much shorter than the paper's: they cost less, and what happens happens early.
     let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
     let friction = choices.sometimes(85, |choices| choices.about(1.0, [0.05, 1.0])).unwrap_or(1.0);
@@ -75,7 +75,7 @@ fn on_road(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_
     let to_rear_m: f64 = vehicles.iter().skip(1).map(|vehicle| vehicle.position_m).sum();
     let lengths_m: f64 = vehicles.iter().rev().skip(1).map(VehicleSpec::length_m).sum();
     let rear_m = choices.about(0.0, [-1e4, 1e4]);
-    line_up(&mut vehicles, rear_m + to_rear_m + lengths_m);
+    place_vehicles(&mut vehicles, rear_m + to_rear_m + lengths_m);
     ScenarioSpec {
         version: SCENARIO_VERSION,
         name: "test_case".to_owned(),
@@ -90,7 +90,7 @@ fn on_road(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_
 }
 
 /// Turns each position but the first, so far the gap ahead, into a place on the road behind a leader at `leader_m`.
-fn line_up(vehicles: &mut [VehicleSpec], leader_m: f64) {
+fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     let mut rear_bumper_m = None;
     for vehicle in vehicles {
         vehicle.position_m = rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);
@@ -99,7 +99,7 @@ fn line_up(vehicles: &mut [VehicleSpec], leader_m: f64) {
 }
 
 /// The gap ahead and the speed at the start.
-fn motion(choices: &mut Choices<'_>) -> (f64, f64) {
+fn read_motion(choices: &mut Choices<'_>) -> (f64, f64) {
     let gap_m = choices.about(GAP_M, [0.01, 40.0]);
     let speed_mps = choices.about(SPEED_MPS, [0.0, 45.0]);
     let close_m = choices.byte();
@@ -113,7 +113,7 @@ fn nominal_class(index: usize, count: usize) -> VehicleClass {
 }
 
 /// A vehicle whose position is still the gap ahead of it.
-fn vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
+fn read_vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
     let other = if nominal == VehicleClass::Heavy { VehicleClass::Light } else { VehicleClass::Heavy };
     let class = choices.one_of(&[nominal, other]).unwrap_or(nominal);
     let delay_s = |choices: &mut Choices<'_>| choices.sometimes(64, |choices| choices.up_to(0.5)).unwrap_or_default();

@@ -18,7 +18,7 @@ pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
 
 /// How to run scenarios, in words that a failure can print.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Setup {
+pub struct RunSetup {
     /// What is put under test.
     pub controller: TestedController,
     /// What it looks through.
@@ -35,31 +35,31 @@ pub enum TestedController {
     /// A built-in controller.
     BuiltIn(ControllerSpec),
     /// Anything else the command line knows by name: a policy file, a controller behind a shield.
-    Named(FoundController),
+    Named(ControllerByName),
     /// A controller from outside that uses all it may see, deciding every so many steps; at every step if 0.
-    Opinionated(u32),
+    FullObservation(u32),
 }
 
 /// A controller that was found by its name, which stands for it.
 #[derive(Clone)]
-pub struct FoundController(NamedController);
+pub struct ControllerByName(NamedController);
 
-impl PartialEq for FoundController {
+impl PartialEq for ControllerByName {
     fn eq(&self, other: &Self) -> bool {
         self.0.name == other.0.name
     }
 }
 
-impl fmt::Debug for FoundController {
+impl fmt::Debug for ControllerByName {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&self.0.name)
     }
 }
 
-impl Setup {
+impl RunSetup {
     /// The baseline, with true states, at the scenario's own step, up to the first contact.
     #[must_use]
-    pub fn truthful() -> Self {
+    pub fn with_true_state() -> Self {
         Self {
             controller: TestedController::BuiltIn(ControllerSpec::Baseline(AebSettings::default())),
             estimator: EstimatorKind::Truth,
@@ -102,7 +102,7 @@ impl Setup {
     pub fn is_learned(&self) -> bool {
         match &self.controller {
             TestedController::BuiltIn(spec) => spec.policy().is_some(),
-            TestedController::Named(FoundController(found)) => found.kind.is_learned(),
+            TestedController::Named(ControllerByName(found)) => found.kind.is_learned(),
             TestedController::Opinionated(_) => false,
         }
     }
@@ -118,10 +118,10 @@ impl Setup {
     pub fn options(&self, step_s: f64) -> RunOptions {
         let controller = match &self.controller {
             TestedController::BuiltIn(spec) => ControllerKind::from(spec.clone()),
-            TestedController::Named(FoundController(found)) => found.kind.clone(),
+            TestedController::Named(ControllerByName(found)) => found.kind.clone(),
             TestedController::Opinionated(steps) => {
                 let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
-                Arc::new(Opinionated { interval_s, last_mps2: 0.0 }).into()
+                Arc::new(FullObservationController { interval_s, last_mps2: 0.0 }).into()
             }
         };
         let options = RunOptions::new(controller).with_estimator(self.estimator).with_after_contact(self.after_contact);
@@ -134,11 +134,11 @@ impl TestedController {
     ///
     /// # Errors
     /// [`UnknownController`] if there is none.
-    pub fn named(name: &str) -> Result<Self, UnknownController> {
+    pub fn from_name(name: &str) -> Result<Self, UnknownController> {
         let found = NamedController::find_for_user(name, Path::new(""))?;
         Ok(match found.kind {
             ControllerKind::BuiltIn(spec) => Self::BuiltIn(spec),
-            _ => Self::Named(FoundController(found)),
+            _ => Self::Named(ControllerByName(found)),
         })
     }
 
@@ -147,7 +147,7 @@ impl TestedController {
     pub fn interval_s(&self) -> Option<f64> {
         match self {
             Self::BuiltIn(spec) => ControllerKind::from(spec.clone()).interval_s(),
-            Self::Named(FoundController(found)) => found.kind.interval_s(),
+            Self::Named(ControllerByName(found)) => found.kind.interval_s(),
             Self::Opinionated(_) => None,
         }
     }
@@ -155,7 +155,7 @@ impl TestedController {
     /// Returns whether the controller runs in a process of its own, behind any number of shields.
     #[must_use]
     pub(crate) fn is_process(&self) -> bool {
-        let Self::Named(FoundController(found)) = self else { return false };
+        let Self::Named(ControllerByName(found)) = self else { return false };
         matches!(found.kind.unshielded(), ControllerKind::Process(_))
     }
 
@@ -164,19 +164,19 @@ impl TestedController {
     pub fn name(&self) -> &str {
         match self {
             Self::BuiltIn(spec) => spec.name(),
-            Self::Named(FoundController(found)) => &found.name,
+            Self::Named(ControllerByName(found)) => &found.name,
             Self::Opinionated(_) => "opinionated",
         }
     }
 }
 
 /// Uses all eight numbers it may see, and remembers its last answer.
-struct Opinionated {
+struct FullObservationController {
     interval_s: Option<f64>,
     last_mps2: f64,
 }
 
-impl ControllerSource for Opinionated {
+impl ControllerSource for FullObservationController {
     fn identity(&self) -> Option<String> {
         Some(sha256(format!("opinionated {:?}", self.interval_s)))
     }
@@ -190,7 +190,7 @@ impl ControllerSource for Opinionated {
     }
 }
 
-impl Controller for Opinionated {
+impl Controller for FullObservationController {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let ahead =
             seen.ahead.map_or(0.5, |n| 0.1 * (n.gap_m - 12.0) + n.speed_mps - seen.speed_mps + n.acceleration_mps2);

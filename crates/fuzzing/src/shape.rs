@@ -7,15 +7,15 @@ use super::choices::Choices;
 /// Steps of scenarios, in seconds; the paper's first.
 const STEPS_S: [f64; 4] = [0.01, 0.02, 0.05, 0.1];
 /// Numbers of vehicles; the paper's first.
-const COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
+const VEHICLE_COUNTS: [usize; 5] = [3, 2, 4, 5, 6];
 /// The most vehicles in a scenario.
-pub(super) const MOST_VEHICLES: usize = 6;
+pub(super) const MAX_VEHICLES: usize = 6;
 /// Sorts of lead profiles.
-const PROFILES: u8 = 6;
+const PROFILE_COUNT: u8 = 6;
 
 /// What sort of driver sits in a seat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum DriverKind {
     /// The controller under test.
     UnderTest,
     /// A script, by its place in [`super::profile`].
@@ -26,14 +26,14 @@ pub enum Kind {
 
 /// The step of a scenario and who drives its vehicles, front to rear.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Shape {
+pub struct ScenarioShape {
     /// The scenario's step, in seconds.
     pub step_s: f64,
     /// One entry a vehicle, at least two.
-    pub drivers: Vec<Kind>,
+    pub drivers: Vec<DriverKind>,
 }
 
-impl Kind {
+impl DriverKind {
     /// The braking leader of the paper, and its baseline.
     const BRAKE: Self = Self::Profile(1);
     const BASELINE: Self = Self::Controller(0);
@@ -50,30 +50,30 @@ impl Kind {
 
     /// Any sort of driver but the nominal one: a third under test, a third scripts, a third controllers.
     #[must_use]
-    pub fn any(byte: u8) -> Self {
+    pub fn non_nominal(byte: u8) -> Self {
         match byte % 3 {
             0 => Self::UnderTest,
-            1 => Self::Profile(byte / 3 % PROFILES),
+            1 => Self::Profile(byte / 3 % PROFILE_COUNT),
             _ => Self::Controller(byte / 3),
         }
     }
 
     /// The sort a byte stands for: nominal if it is zero.
-    pub(super) fn of(byte: u8, index: usize, count: usize) -> Self {
+    pub(super) fn from_byte(byte: u8, index: usize, count: usize) -> Self {
         byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::any)
     }
 }
 
-impl Shape {
+impl ScenarioShape {
     /// Bytes that a shape is read from.
     pub const BYTES: usize = 2 + MOST_VEHICLES;
 
     /// Reads a shape; no bytes are the paper's.
     pub fn read(from: &mut Unstructured<'_>) -> Self {
         let mut choices = Choices::block(from, Self::BYTES);
-        let count = choices.one_of(&COUNTS).unwrap_or(COUNTS[0]);
+        let count = choices.one_of(&VEHICLE_COUNTS).unwrap_or(VEHICLE_COUNTS[0]);
         let step_s = choices.one_of(&STEPS_S).unwrap_or(STEPS_S[0]);
-        let drivers = (0..count).map(|index| Kind::of(choices.byte(), index, count)).collect();
+        let drivers = (0..count).map(|index| DriverKind::of(choices.byte(), index, count)).collect();
         Self { step_s, drivers }
     }
 }

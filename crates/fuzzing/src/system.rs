@@ -27,13 +27,13 @@ pub trait System {
     }
 
     /// Shows what every vehicle sees at every step, until `each` has seen enough and says false.
-    fn observe(&self, run: &Run, each: &mut dyn FnMut(&Sight<'_>) -> bool) {
+    fn for_each_observation(&self, run: &Run, each: &mut dyn FnMut(&ObservationSample<'_>) -> bool) {
         let mut stepper = Stepper::new(run, RecordingLevel::Summary);
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
                 let Some(seen) = stepper.observe(vehicle) else { continue };
                 let time_s = stepper.steps_made() as f64 * run.scenario().spec().step_s;
-                if !each(&Sight { vehicle, time_s, seen, motion: stepper.motion() }) {
+                if !each(&ObservationSample { vehicle, time_s, seen, motion: stepper.motion() }) {
                     return;
                 }
             }
@@ -42,7 +42,7 @@ pub trait System {
     }
 
     /// Full throttle behind a shield.
-    fn full_throttle(&self) -> ControllerKind {
+    fn shielded_full_throttle(&self) -> ControllerKind {
         Shielded {
             controller: ControllerSpec::FullThrottle(Default::default()).into(),
             settings: ShieldSettings::default(),
@@ -59,11 +59,11 @@ pub trait System {
     ///
     /// # Errors
     /// [`FileError`] if what was written cannot be read.
-    fn through_file(&self, scenario: &Scenario, format: FileFormat) -> Result<Scenario, FileError> {
+    fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
         let text = format.text(scenario);
         match format {
-            FileFormat::Toml => from_toml(&text, Path::new("test_case.toml")),
-            FileFormat::Json => from_json(&text, Path::new("test_case.json")),
+            ScenarioFormat::Toml => from_toml(&text, Path::new("test_case.toml")),
+            ScenarioFormat::Json => from_json(&text, Path::new("test_case.json")),
         }
     }
 
@@ -97,33 +97,33 @@ impl System for Crumple {}
 
 /// What one vehicle sees at one step, and what is true.
 #[derive(Debug)]
-pub struct Sight<'m> {
+pub struct ObservationSample<'m> {
     /// Index of the vehicle.
     pub vehicle: usize,
     /// When, in seconds.
     pub time_s: f64,
     /// What it sees.
-    pub seen: Observation,
+    pub observation: Observation,
     /// Where every vehicle is, front to rear.
     pub motion: &'m [Motion],
 }
 
 /// The formats of scenario files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FileFormat {
+pub enum ScenarioFormat {
     /// TOML.
     Toml,
     /// JSON.
     Json,
 }
 
-impl FileFormat {
+impl ScenarioFormat {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Toml, Self::Json];
 
     /// A scenario in this format; empty if it cannot be written, which no reader accepts.
     #[must_use]
-    pub fn text(self, scenario: &Scenario) -> String {
+    pub fn to_text(self, scenario: &Scenario) -> String {
         match self {
             Self::Toml => to_toml(scenario).unwrap_or_default(),
             Self::Json => serde_json::to_string_pretty(scenario.spec()).unwrap_or_default(),

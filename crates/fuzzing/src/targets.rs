@@ -20,10 +20,10 @@ use crumple_world::scenario::{Scenario, built_in};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// A target: what it makes of some bytes.
-pub type Target = fn(&[u8]) -> Result<(), Violation>;
+pub type FuzzTarget = fn(&[u8]) -> Result<(), Violation>;
 
 /// Every target and its name, which is that of its seeds' folder.
-pub const TARGETS: [(&str, Target); 10] = [
+pub const TARGETS: [(&str, FuzzTarget); 10] = [
     ("scenario", scenario),
     ("lanes", lanes),
     ("scenario_file", scenario_file),
@@ -37,9 +37,9 @@ pub const TARGETS: [(&str, Target); 10] = [
 ];
 
 /// Most steps times vehicles of a scenario from a file that is run.
-const MOST_VEHICLE_STEPS: usize = 20_000;
+const MAX_VEHICLE_STEPS: usize = 20_000;
 /// What checking a certificate may take: some hundredths of a second.
-const WORK: WorkLimit = WorkLimit::operations(100_000_000);
+const WORK_LIMIT: WorkLimit = WorkLimit::operations(100_000_000);
 /// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
@@ -48,7 +48,7 @@ const SAMPLES: usize = 16;
 /// # Errors
 /// What an oracle found.
 pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
-    TestCase::of_bytes(bytes).examine(&Crumple).map(drop)
+    TestCase::from_bytes(bytes).examine(&Crumple).map(drop)
 }
 
 /// Any test case in which vehicles enter or leave the lane, and every oracle that holds then.
@@ -56,15 +56,15 @@ pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// What an oracle found.
 pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
-    TestCase::with_lanes(bytes).examine_lanes(&Crumple).map(drop)
+    TestCase::from_bytes_with_lanes(bytes).check_lanes(&Crumple).map(drop)
 }
 
 /// How many of the oracles were not left in doubt by the test case that bytes stand for.
 ///
 /// # Errors
 /// What an oracle found.
-pub fn decided(bytes: &[u8]) -> Result<usize, Violation> {
-    let test_case = TestCase::of_bytes(bytes);
+pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
+    let test_case = TestCase::from_bytes(bytes);
     let question = Question::new(&test_case, &Crumple)?;
     let answers = ORACLES.into_iter().map(|oracle| question.ask(oracle)).collect::<Result<Vec<_>, _>>()?;
     Ok(answers.into_iter().filter(|answer| *answer != Checked::Undecided).count())
@@ -96,7 +96,7 @@ pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
 }
 
 /// A scenario from a file survives both formats and moves as vehicles do.
-fn accepted(scenario: &Scenario, format: FileFormat) -> Result<(), Violation> {
+fn check_accepted_scenario(scenario: &Scenario, format: FileFormat) -> Result<(), Violation> {
     let text = format.text(scenario);
     let back = Crumple.through_file(scenario, format);
     let same = back.as_ref().is_ok_and(|back| back == scenario);
@@ -214,7 +214,7 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
 }
 
 /// Another reading of the columns of car-following events: places of vehicles, by their numbers.
-const TRACKS: &str = r#"version = 1
+const TRACKS_MAP: &str = r#"version = 1
 name = "tracks"
 time.clock = { column = "time_s" }
 interpolate_s = 0.5
@@ -294,12 +294,12 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
 /// A [`Violation`] of [`Law::Folders`].
 pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
     // Where there is no room for temporary files, nothing can be said.
-    match folder::misjudged(bytes) {
+    match run_folder::misjudged(bytes) {
         Ok(Some(finding)) => must(false, Law::Folders, &format!("{bytes:?}"), || finding),
         Ok(None) | Err(_) => Ok(()),
     }
 }
 
-fn must(holds: bool, law: Law, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
+fn ensure(holds: bool, law: Law, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
     if holds { Ok(()) } else { Err(Violation { law, finding: finding(), reproducer: input.to_owned() }) }
 }

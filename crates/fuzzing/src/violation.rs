@@ -13,9 +13,9 @@ use crumple_world::sim::AfterContact;
 /// What must hold, whatever happens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
-pub enum Law {
+pub enum Invariant {
     /// A generated scenario can be run.
-    Runs,
+    Runnable,
     /// No vehicle reverses.
     ForwardMotion,
     /// No vehicle is where its speed cannot have taken it.
@@ -27,7 +27,7 @@ pub enum Law {
     /// Vehicles that touched stay together, and no pair touches twice.
     Sticking,
     /// Verdict, summary and trace tell one story.
-    OneStory,
+    MetricsAgree,
     /// No vehicle goes beyond what road and vehicle allow.
     Limits,
     /// The report's verdict is that of the trace.
@@ -56,7 +56,7 @@ pub enum Law {
     Lanes,
 }
 
-impl fmt::Display for Law {
+impl fmt::Display for Invariant {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Runs => "a valid scenario can be run",
@@ -88,7 +88,7 @@ impl fmt::Display for Law {
 #[error("broken: {law}\n{finding}\n\n{reproducer}")]
 pub struct Violation {
     /// Which law.
-    pub law: Law,
+    pub invariant: Invariant,
     /// What was found.
     pub finding: String,
     /// How to see it again: a scenario file, and the command that runs it.

@@ -13,14 +13,14 @@ pub struct QuadraticProgram {
     variables: usize,
     cost: Vec<f64>,
     /// Upper triangle: row, column, value.
-    curvature: Vec<(usize, usize, f64)>,
-    equal: Rows,
-    at_most: Rows,
+    hessian: Vec<(usize, usize, f64)>,
+    equalities: SparseRows,
+    inequalities: SparseRows,
 }
 
 /// Sparse rows and their right-hand sides.
 #[derive(Debug, Clone, Default)]
-struct Rows {
+struct SparseRows {
     row: Vec<usize>,
     column: Vec<usize>,
     value: Vec<f64>,
@@ -29,18 +29,18 @@ struct Rows {
 
 /// What the solver made of a program.
 #[derive(Debug, Clone)]
-pub enum Solved {
+pub enum QuadraticSolution {
     /// A minimum, and a multiplier for each inequality.
     Optimal {
         /// The point.
-        at: Vec<f64>,
+        point: Vec<f64>,
         /// One for each inequality, in the order they were added, not negative.
         multipliers: Vec<f64>,
     },
     /// No point satisfies all rows, as these multipliers of the inequalities show.
     Infeasible(Vec<f64>),
     /// Neither was reached.
-    Trouble(String),
+    SolverFailed(String),
 }
 
 impl QuadraticProgram {
@@ -51,59 +51,59 @@ impl QuadraticProgram {
     }
 
     /// Adds to the linear cost.
-    pub fn cost(&mut self, variable: usize, value: f64) {
+    pub fn add_linear_cost(&mut self, variable: usize, value: f64) {
         if let Some(cost) = self.cost.get_mut(variable) {
             *cost += value;
         }
     }
 
     /// Adds `weight` (Σ cᵢ xᵢ)² to the cost.
-    pub fn square(&mut self, terms: &[(usize, f64)], weight: f64) {
+    pub fn add_squared_cost(&mut self, terms: &[(usize, f64)], weight: f64) {
         for &(i, c) in terms {
             for &(j, d) in terms.iter().filter(|(j, _)| i <= *j) {
-                self.curvature.push((i, j, 2.0 * weight * c * d));
+                self.hessian.push((i, j, 2.0 * weight * c * d));
             }
         }
     }
 
     /// Adds Σ cᵢ xᵢ = bound.
-    pub fn equal(&mut self, terms: &[(usize, f64)], bound: f64) {
-        self.equal.add(terms, bound);
+    pub fn add_equality(&mut self, terms: &[(usize, f64)], bound: f64) {
+        self.equalities.add(terms, bound);
     }
 
     /// Adds Σ cᵢ xᵢ <= bound.
-    pub fn at_most(&mut self, terms: &[(usize, f64)], bound: f64) {
-        self.at_most.add(terms, bound);
+    pub fn add_inequality(&mut self, terms: &[(usize, f64)], bound: f64) {
+        self.inequalities.add(terms, bound);
     }
 
     /// Solves.
     #[must_use]
-    pub fn solve(&self) -> Solved {
-        let equalities = self.equal.bound.len();
+    pub fn solve(&self) -> QuadraticSolution {
+        let equalities = self.equalities.bound.len();
         let n = self.variables;
-        let rows = equalities + self.at_most.bound.len();
-        let below = self.at_most.row.iter().map(|row| row + equalities);
+        let rows = equalities + self.inequalities.bound.len();
+        let below = self.inequalities.row.iter().map(|row| row + equalities);
         let matrix = CscMatrix::new_from_triplets(
             rows,
             n,
-            self.equal.row.iter().copied().chain(below).collect(),
-            [&self.equal.column[..], &self.at_most.column].concat(),
-            [&self.equal.value[..], &self.at_most.value].concat(),
+            self.equalities.row.iter().copied().chain(below).collect(),
+            [&self.equalities.column[..], &self.inequalities.column].concat(),
+            [&self.equalities.value[..], &self.inequalities.value].concat(),
         );
         let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
-        for &(row, column, value) in &self.curvature {
+        for &(row, column, value) in &self.hessian {
             i.push(row);
             j.push(column);
             v.push(value);
         }
         let curvature = CscMatrix::new_from_triplets(n, n, i, j, v);
-        let bound = [&self.equal.bound[..], &self.at_most.bound].concat();
+        let bound = [&self.equalities.bound[..], &self.inequalities.bound].concat();
         let cones = [ZeroConeT(equalities), NonnegativeConeT(rows - equalities)];
         let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(100).presolve_enable(false).build();
-        let Ok(settings) = settings else { return Solved::Trouble("settings".to_owned()) };
+        let Ok(settings) = settings else { return QuadraticSolution::SolverFailed("settings".to_owned()) };
         let mut solver = match DefaultSolver::new(&curvature, &self.cost, &matrix, &bound, &cones, settings) {
             Ok(solver) => solver,
-            Err(error) => return Solved::Trouble(error.to_string()),
+            Err(error) => return QuadraticSolution::SolverFailed(error.to_string()),
         };
         solver.solve();
         let solution = &solver.solution;
@@ -111,15 +111,15 @@ impl QuadraticProgram {
         match solution.status {
             // The caller checks what is almost solved.
             SolverStatus::Solved | SolverStatus::AlmostSolved => {
-                Solved::Optimal { at: solution.x.clone(), multipliers: multipliers() }
+                QuadraticSolution::Optimal { point: solution.x.clone(), multipliers: multipliers() }
             }
-            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Solved::Infeasible(multipliers()),
-            status => Solved::Trouble(format!("{status:?}")),
+            SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => QuadraticSolution::Infeasible(multipliers()),
+            status => QuadraticSolution::SolverFailed(format!("{status:?}")),
         }
     }
 }
 
-impl Rows {
+impl SparseRows {
     fn add(&mut self, terms: &[(usize, f64)], bound: f64) {
         let row = self.bound.len();
         for &(column, value) in terms {
@@ -143,10 +143,10 @@ mod tests {
         cone.square(&[(1, 1.0)], 1.0);
         cone.equal(&[(0, 1.0), (1, 1.0)], 2.0);
         cone.at_most(&[(0, -1.0)], -1.5);
-        let Solved::Optimal { at, multipliers } = cone.solve() else { panic!("solvable") };
+        let QuadraticSolution::Optimal { at, multipliers } = cone.solve() else { panic!("solvable") };
         assert!((at[0] - 1.5).abs() < 1e-6 && (at[1] - 0.5).abs() < 1e-6, "{at:?}");
         assert!((multipliers[0] - 2.0).abs() < 1e-5, "{multipliers:?}");
         cone.at_most(&[(0, 1.0)], 1.0);
-        assert!(matches!(cone.solve(), Solved::Infeasible(_)));
+        assert!(matches!(cone.solve(), QuadraticSolution::Infeasible(_)));
     }
 }

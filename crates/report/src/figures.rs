@@ -1,18 +1,18 @@
 //! Figures of a training, of a retraining, of what was understood of a recording, and of what was fitted to it.
 
-mod fitted;
+mod fit;
 
 use maud::html;
 
-pub use fitted::fitted;
+pub use fit::fitted;
 
-use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Marker, Panel, Stroke, Svg, extent, padded};
-use crumple_world::policy::{CurvePoint, LearningCurve, PERFECT};
+use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg, extent, padded};
+use crumple_world::policy::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};
 use crumple_world::recording::{Hardest, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
-const WIDTH: f64 = 720.0;
-const HEIGHT: f64 = 260.0;
+const FIGURE_WIDTH: f64 = 720.0;
+const PANEL_HEIGHT: f64 = 260.0;
 
 /// What somebody states of a learning curve in words, where the numbers of the curve itself are not to be had.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,39 +27,39 @@ pub struct StatedConvergence<'a> {
 
 /// A learning curve: the mean reward in evaluation over all seeds, and its standard deviation.
 #[must_use]
-pub fn learning_curve(curve: &LearningCurve) -> Svg {
+pub fn draw_learning_curve(curve: &LearningCurve) -> Svg {
     learning_curve_beside(curve, None)
 }
 
 /// A learning curve, and what somebody states of theirs: a ring where it is said to arrive, and a line from there on, no curve.
 #[must_use]
-pub fn learning_curve_beside(curve: &LearningCurve, stated: Option<&StatedConvergence<'_>>) -> Svg {
+pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<&StatedConvergence<'_>>) -> Svg {
     let LearningCurve { preset, seeds, points } = curve;
     let trained = points.last().map_or(1.0, |point| point.episode as f64);
     // What is stated goes on beyond what was trained.
     let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
-    let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
     let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
     let x = Axis::numbers("episode", (0.0, last), 8);
-    let y = Axis::numbers("", (low, PERFECT * 1.06), 6);
+    let y = Axis::numbers("", (low, COLLISION_FREE_REWARD * 1.06), 6);
     let mut panel = Panel::new(frame, &title, x, y);
     let line = |of: &dyn Fn(&CurvePoint) -> f64| points.iter().map(|p| (p.episode as f64, of(p))).collect::<Vec<_>>();
     panel.band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
-    panel.rule_y(PERFECT, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+    panel.add_horizontal_line(COLLISION_FREE_REWARD, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
     panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
     // Words stand where the curve's right end is not.
     let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * trained).map(|p| p.mean_reward).collect();
-    let is_high = right.iter().sum::<f64>() > 0.5 * PERFECT * right.len() as f64;
-    let words_at = |line: f64| (last * 0.995, PERFECT * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
+    let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
+    let words_at = |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
     panel.note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
             .to_owned();
     // What is there before any training is not learned.
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
-        let words = format!("dots: {}, before any training", in_thousands(untrained));
-        panel.rule_y(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
+        let words = format!("dots: {}, before any training", format_thousands(untrained));
+        panel.add_horizontal_line(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         panel.note(words_at(1.0), Anchor::End, &words, Ink::Muted);
         description += &format!(" Untrained networks stand at {untrained:.0}.");
     }
@@ -67,7 +67,7 @@ pub fn learning_curve_beside(curve: &LearningCurve, stated: Option<&StatedConver
         let at = (*from_episode as f64, *reward);
         panel.segment(at, (last, *reward), Stroke { width: 2.4, ..Stroke::series(1) });
         panel.marks(&[at], Marker::Ring, Ink::Series(1));
-        let said = format!("{} from about episode {from_episode} on", in_thousands(*reward));
+        let said = format!("{} from about episode {from_episode} on", format_thousands(*reward));
         panel.note(
             words_at(-1.0),
             Anchor::End,
@@ -77,11 +77,11 @@ pub fn learning_curve_beside(curve: &LearningCurve, stated: Option<&StatedConver
         description += &format!(" Of {source} only what its text states is drawn, {said}: its curve has no numbers.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    Svg::new("learning-curve", (WIDTH, HEADING + HEIGHT + BELOW), &title, &description, content)
+    Svg::new("learning-curve", (WIDTH, HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN), &title, &description, content)
 }
 
 /// A reward as in 22 500.
-fn in_thousands(reward: f64) -> String {
+fn format_thousands(reward: f64) -> String {
     format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
@@ -109,7 +109,7 @@ pub struct SelectedCheckpoint {
 
 /// Draws contacts in the selection over episodes. A ring marks a candidate, a vertical line the end of a round.
 #[must_use]
-pub fn retraining(rounds: &[RetrainingRound]) -> Svg {
+pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
     let (mut done, mut points, mut candidates, mut ends) = (0, Vec::new(), Vec::new(), Vec::new());
     for (round, number) in rounds.iter().zip(1..) {
         for checkpoint in &round.checkpoints {
@@ -125,12 +125,12 @@ pub fn retraining(rounds: &[RetrainingRound]) -> Svg {
         ends.push((done as f64, format!("round {number} {word}")));
     }
     let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
-    let frame = Frame { left: LEFT + 24.0, top: HEADING, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
     let title = "Contacts in the avoidable draws that select checkpoints";
     let x = Axis::numbers("episode", (0.0, done.max(1) as f64), 8);
     let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, most * 1.15), 6));
     for (end, words) in &ends {
-        panel.rule_x(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
+        panel.add_vertical_line(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
         panel.note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
     }
     panel.line(&points, Stroke::series(0));
@@ -138,15 +138,15 @@ pub fn retraining(rounds: &[RetrainingRound]) -> Svg {
     let content = panel.draw(&Svg::id("retraining", "frame"));
     let description =
         "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
-    Svg::new("retraining", (WIDTH, HEADING + HEIGHT + BELOW), title, description, content)
+    Svg::new("retraining", (WIDTH, HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN), title, description, content)
 }
 
 /// What was understood of a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
-pub fn recorded(preview: &Preview, file: &str) -> Svg {
+pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
     let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
-        let frame = Frame { left: LEFT + 24.0, top, width: WIDTH - LEFT - 40.0, height: HEIGHT };
+        let frame = Frame { left: LEFT_MARGIN + 24.0, top, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
         let all = || preview.lines.iter().flat_map(&of);
         let time = Axis::numbers("s", extent(all().map(|point| point.0)), 8);
         let value = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
@@ -158,12 +158,12 @@ pub fn recorded(preview: &Preview, file: &str) -> Svg {
             }
         }
         if let Hardest::Braking(hardest) = &preview.hardest {
-            panel.rule_x(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
+            panel.add_vertical_line(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         }
         panel
     };
-    let speeds = panel(HEADING, "Speed (m/s)", |line| &line.speed_mps);
-    let second = HEADING + HEIGHT + BELOW + HEADING;
+    let speeds = panel(HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps);
+    let second = HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN + HEADING_HEIGHT;
     let gaps = panel(second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m);
     let [speeds, gaps] =
         [("speeds", speeds), ("gaps", gaps)].map(|(name, panel)| panel.draw(&Svg::id("recorded", name)));
@@ -171,7 +171,7 @@ pub fn recorded(preview: &Preview, file: &str) -> Svg {
     let description =
         format!("Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.", preview.leads);
     let content = html! { (speeds) (gaps) };
-    Svg::new("recorded", (WIDTH, second + HEIGHT + BELOW), file, &description, content)
+    Svg::new("recorded", (WIDTH, second + HEIGHT + BOTTOM_MARGIN), file, &description, content)
 }
 
 #[cfg(test)]
@@ -195,7 +195,7 @@ mod tests {
     fn what_is_stated_of_another_curve_is_labelled_as_such() {
         let points = vec![CurvePoint { episode: 300, mean_reward: 1000.0, deviation: 10.0 }];
         let curve = LearningCurve { preset: "fast".to_owned(), seeds: 2, points };
-        let stated = StatedConvergence { source: "the paper", reward: PERFECT, from_episode: 400 };
+        let stated = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
         let svg = learning_curve_beside(&curve, Some(&stated)).document();
         assert!(svg.contains("ring and line: the paper, by its text: 22 500 from about episode 400 on"), "{svg}");
         // The axis reaches as far as what is stated.

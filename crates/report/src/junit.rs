@@ -8,14 +8,14 @@ use crumple_core::quoted::Lines;
 
 /// Result of a test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Status {
+pub(crate) enum JunitStatus {
     Passed,
     Failed,
     Error,
     Skipped,
 }
 
-impl Status {
+impl JunitStatus {
     /// Returns the element of a result other than a pass.
     fn element(self) -> Option<&'static str> {
         match self {
@@ -29,9 +29,9 @@ impl Status {
 
 /// Test case.
 #[derive(Debug)]
-pub(crate) struct Case {
+pub(crate) struct JunitCase {
     pub(crate) name: String,
-    pub(crate) status: Status,
+    pub(crate) status: JunitStatus,
     /// Reason of a result other than a pass.
     pub(crate) message: Option<String>,
     pub(crate) output: String,
@@ -39,27 +39,27 @@ pub(crate) struct Case {
 
 /// Test suite: cases, and properties as names with values.
 #[derive(Debug, Default)]
-pub(crate) struct Suite {
+pub(crate) struct JunitSuite {
     pub(crate) name: String,
     pub(crate) properties: Vec<(String, String)>,
-    pub(crate) cases: Vec<Case>,
+    pub(crate) cases: Vec<JunitCase>,
 }
 
 /// Renders suites as XML. Control characters are shown as escapes.
-pub(crate) fn xml(name: &str, suites: &[Suite]) -> String {
-    Lines(&Document { name, suites }.to_string()).to_string()
+pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
+    Lines(&JunitReport { name, suites }.to_string()).to_string()
 }
 
-struct Document<'a> {
+struct JunitReport<'a> {
     name: &'a str,
-    suites: &'a [Suite],
+    suites: &'a [JunitSuite],
 }
 
-impl Display for Document<'_> {
+impl Display for JunitReport<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let all = || self.suites.iter().flat_map(|suite| &suite.cases);
         let count = |status| all().filter(|case| case.status == status).count();
-        let [skipped, failures, errors] = [Status::Skipped, Status::Failed, Status::Error].map(count);
+        let [skipped, failures, errors] = [JunitStatus::Skipped, JunitStatus::Failed, JunitStatus::Error].map(count);
         let (name, tests) = (escape(self.name), all().count());
         writeln!(out, r#"<?xml version="1.0" encoding="UTF-8"?>"#)?;
         writeln!(
@@ -71,10 +71,10 @@ impl Display for Document<'_> {
     }
 }
 
-impl Suite {
+impl JunitSuite {
     fn write(&self, out: &mut impl Write) -> fmt::Result {
         let count = |status| self.cases.iter().filter(|case| case.status == status).count();
-        let [skipped, errors, failures] = [Status::Skipped, Status::Error, Status::Failed].map(count);
+        let [skipped, errors, failures] = [JunitStatus::Skipped, JunitStatus::Error, JunitStatus::Failed].map(count);
         let (name, tests) = (escape(&self.name), self.cases.len());
         let close = if self.cases.is_empty() && self.properties.is_empty() { "/" } else { "" };
         writeln!(
@@ -96,7 +96,7 @@ impl Suite {
     }
 }
 
-impl Case {
+impl JunitCase {
     fn write(&self, out: &mut impl Write) -> fmt::Result {
         writeln!(out, r#"        <testcase name="{}">"#, escape(&self.name))?;
         if let Some(element) = self.status.element() {

@@ -36,7 +36,7 @@ impl Inline {
     }
 
     /// With more words behind it.
-    pub(crate) fn and(mut self, text: &str) -> Self {
+    pub(crate) fn and_prose(mut self, text: &str) -> Self {
         for (index, piece) in text.split('`').enumerate() {
             match index % 2 == 1 && !piece.is_empty() {
                 true => self = self.and_code(piece),
@@ -56,7 +56,7 @@ impl Inline {
         self
     }
 
-    fn add(&mut self, piece: &str) {
+    fn push_escaped(&mut self, piece: &str) {
         // Spaces between pieces stay; those that a block begins with mean something.
         let spaces = piece.len() - piece.trim_start().len();
         if spaces > 0 && !self.text.is_empty() {
@@ -66,7 +66,7 @@ impl Inline {
     }
 
     /// As a cell of a table, which ends at the next bar that is not escaped.
-    pub(crate) fn cell(&self) -> String {
+    pub(crate) fn to_table_cell(&self) -> String {
         let mut cell = String::new();
         let mut backslashes = 0;
         for letter in self.text.chars() {
@@ -132,13 +132,13 @@ impl Markdown {
     }
 
     /// All blocks of another text.
-    pub(crate) fn part(&mut self, other: &Self) {
+    pub(crate) fn append(&mut self, other: &Self) {
         if !other.text.is_empty() {
             self.block(&other.text);
         }
     }
 
-    fn block(&mut self, text: &str) {
+    fn push_block(&mut self, text: &str) {
         if !self.text.is_empty() {
             self.text.push('\n');
         }

@@ -5,26 +5,26 @@ const UNITS: [&str; 15] =
     ["m/s²", "m/s³", "m²/s³", "m/s", "km/h", "m", "km", "kg", "s", "ms", "h", "min", "%", "MB", "Hz"];
 
 /// Elements whose text has to stay as it is: commands are copied, and figures do not wrap.
-const VERBATIM: [&str; 4] = ["code", "script", "style", "svg"];
+const VERBATIM_ELEMENTS: [&str; 4] = ["code", "script", "style", "svg"];
 
 /// Replaces the space before each unit in the text of an HTML page by a no-break space.
 ///
 /// A unit counts if it follows a digit or stands in parentheses, as in the heading `peak brake (m/s²)`.
-pub(crate) fn without_breaks_before_units(page: &str) -> String {
+pub(crate) fn insert_nbsp_before_units(page: &str) -> String {
     let (mut joined, mut rest) = (String::with_capacity(page.len()), page);
     while let Some((text, tag)) = rest.find('<').map(|start| rest.split_at(start)) {
-        join_units(text, &mut joined);
-        let element = VERBATIM.iter().find(|name| tag[1..].starts_with(**name));
+        push_with_nbsp(text, &mut joined);
+        let element = VERBATIM_ELEMENTS.iter().find(|name| tag[1..].starts_with(**name));
         let end = element.and_then(|name| tag.find(&format!("</{name}>"))).unwrap_or(0);
         let end = tag[end..].find('>').map_or(tag.len(), |close| end + close + 1);
         joined.push_str(&tag[..end]);
         rest = &tag[end..];
     }
-    join_units(rest, &mut joined);
+    push_with_nbsp(rest, &mut joined);
     joined
 }
 
-fn join_units(text: &str, joined: &mut String) {
+fn push_with_nbsp(text: &str, joined: &mut String) {
     let mut before = "";
     for (index, word) in text.split(' ').enumerate() {
         let unit = word.trim_end_matches([',', '.', ';', ':', ')']).trim_start_matches('(');
@@ -39,7 +39,7 @@ fn join_units(text: &str, joined: &mut String) {
 
 #[cfg(test)]
 mod tests {
-    use super::without_breaks_before_units;
+    use super::insert_nbsp_before_units;
 
     #[test]
     fn a_unit_stays_with_its_number() {
@@ -50,13 +50,13 @@ mod tests {
             .replace("of 3 m", "of 3\u{a0}m")
             .replace("brake (", "brake\u{a0}(")
             .replace(" 4 s", " 4\u{a0}s");
-        assert_eq!(without_breaks_before_units(page), joined);
+        assert_eq!(insert_nbsp_before_units(page), joined);
     }
 
     #[test]
     fn damaged_markup_is_kept() {
         for page in ["", "<", "<p", "<code>3 m", "3 m<", "a <svg", "é<é é>3 é"] {
-            assert_eq!(without_breaks_before_units(page).replace('\u{a0}', " "), page);
+            assert_eq!(insert_nbsp_before_units(page).replace('\u{a0}', " "), page);
         }
     }
 }

@@ -6,19 +6,19 @@ use serde_json::Value;
 
 /// Names the first place in which two TOML files of a `kind` of work differ.
 #[must_use]
-pub fn in_toml(path: &Path, kind: &str, found: &str, expected: &str) -> String {
+pub fn describe_toml(path: &Path, kind: &str, found: &str, expected: &str) -> String {
     let table = |text: &str| text.parse::<toml::Table>().ok().and_then(|table| serde_json::to_value(table).ok());
-    named(path, kind, table(found), table(expected))
+    describe(path, kind, table(found), table(expected))
 }
 
 /// The same of two JSON files.
 #[must_use]
-pub fn in_json(path: &Path, kind: &str, found: &str, expected: &str) -> String {
+pub fn describe_json(path: &Path, kind: &str, found: &str, expected: &str) -> String {
     let value = |text: &str| serde_json::from_str(text).ok();
-    named(path, kind, value(found), value(expected))
+    describe(path, kind, value(found), value(expected))
 }
 
-fn named(path: &Path, kind: &str, found: Option<Value>, expected: Option<Value>) -> String {
+fn describe(path: &Path, kind: &str, found: Option<Value>, expected: Option<Value>) -> String {
     let path = path.display();
     let (Some(old), Some(new)) = (found, expected) else {
         return format!("{path}: not the file of a {kind}");
@@ -45,23 +45,23 @@ fn first_difference(place: &str, old: Option<&Value>, new: Option<&Value>) -> Op
         (Some(Array(old)), Some(Array(new))) => (0..old.len().max(new.len()))
             .find_map(|index| first_difference(&format!("{place}[{index}]"), old.get(index), new.get(index))),
         _ if old == new => None,
-        _ => Some((place.to_owned(), shown(old), shown(new))),
+        _ => Some((place.to_owned(), format_value(old), format_value(new))),
     }
 }
 
 /// A value in a line. Whole tables, lists and files would fill the screen.
-fn shown(value: Option<&Value>) -> String {
+fn format_value(value: Option<&Value>) -> String {
     match value {
         None | Some(Value::Null) => "nothing".to_owned(),
         Some(Value::Object(_)) => "a table".to_owned(),
         Some(Value::Array(_)) => "a list".to_owned(),
-        Some(Value::String(text)) if text.chars().count() > MOST_SHOWN => format!("a text of {} bytes", text.len()),
+        Some(Value::String(text)) if text.chars().count() > MAX_SHOWN_CHARS => format!("a text of {} bytes", text.len()),
         Some(value) => value.to_string(),
     }
 }
 
 /// The longest text that is shown.
-const MOST_SHOWN: usize = 200;
+const MAX_SHOWN_CHARS: usize = 200;
 
 #[cfg(test)]
 mod tests {
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn of_a_json_file_the_place_and_both_values_are_named() {
-        let at = |old: &str, new: &str| in_json(Path::new("a.json"), "count", old, new);
+        let at = |old: &str, new: &str| describe_json(Path::new("a.json"), "count", old, new);
         let said = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
         assert_eq!(said, "a.json: the count there has another `seed`: \"1\" instead of \"2\"");
         assert!(

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use tempfile::TempPath;
 pub(crate) use unfinished::is_unfinished;
 pub use unfinished::remove_unfinished;
-pub(crate) use unfinished::{number_of, numbered, remove_all_unfinished};
+pub(crate) use unfinished::{parse_number, numbered_name, remove_all_unfinished};
 
 /// A file or folder that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -33,18 +33,18 @@ impl DiskError {
 /// Files to be written together. They are first written beside their places and then moved there, so that a failure
 /// leaves nothing half-written. Staging removes what earlier processes left unfinished in the same folder.
 #[derive(Default)]
-pub struct Files {
-    staged: Vec<Staged>,
+pub struct StagedFiles {
+    staged: Vec<StagedFile>,
 }
 
 /// A file beside its place.
-struct Staged {
+struct StagedFile {
     file: fs::File,
-    unfinished: TempPath,
+    temp_path: TempPath,
     path: PathBuf,
 }
 
-impl Files {
+impl StagedFiles {
     /// Stages a file.
     ///
     /// # Errors
@@ -54,8 +54,8 @@ impl Files {
             let twice = "two results would go there: give scenarios names of their own";
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, twice)));
         }
-        let folder = folder_of(path);
-        if !self.staged.iter().any(|staged| folder_of(&staged.path) == folder) {
+        let folder = parent_folder(path);
+        if !self.staged.iter().any(|staged| parent_folder(&staged.path) == folder) {
             // A folder that cannot be read may still be written.
             let _ = remove_unfinished(folder);
         }
@@ -64,7 +64,7 @@ impl Files {
             if path.is_dir() {
                 return Err(io::ErrorKind::IsADirectory.into());
             }
-            let mut file = unfinished::create(folder)?;
+            let mut file = unfinished::create_locked(folder)?;
             file.write_all(contents.as_ref())?;
             Ok(file.into_parts())
         };
@@ -75,7 +75,7 @@ impl Files {
                 kind => kind.into(),
             })
         })?;
-        self.staged.push(Staged { file, unfinished, path: path.to_owned() });
+        self.staged.push(StagedFile { file, temp_path: unfinished, path: path.to_owned() });
         Ok(())
     }
 
@@ -87,11 +87,11 @@ impl Files {
         // Else a loss of power could leave new names with nothing behind them. All at once, for each waits for the disk.
         self.staged.par_iter().try_for_each(|staged| staged.file.sync_all().map_err(DiskError::at(&staged.path)))?;
         let mut folders = BTreeSet::new();
-        for Staged { unfinished, path, .. } in self.staged {
+        for StagedFile { temp_path: unfinished, path, .. } in self.staged {
             fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
             // Nothing is left to be cleared away.
             let _ = unfinished.keep();
-            folders.insert(folder_of(&path).to_owned());
+            folders.insert(parent_folder(&path).to_owned());
         }
         folders.par_iter().try_for_each(|folder| sync_folder(folder))
     }
@@ -102,7 +102,7 @@ impl Files {
 /// # Errors
 /// [`DiskError`] if it cannot be written.
 pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
-    let mut files = Files::default();
+    let mut files = StagedFiles::default();
     files.stage(path, contents)?;
     files.commit()
 }
@@ -112,7 +112,7 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
 /// # Errors
 /// [`DiskError`] if there is one that cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
-    match unless_missing(fs::metadata(path)).map_err(DiskError::at(path))? {
+    match none_if_missing(fs::metadata(path)).map_err(DiskError::at(path))? {
         None => return Ok(None),
         // A pipe would be waited for.
         Some(found) if !found.is_file() && !found.is_dir() => {
@@ -121,7 +121,7 @@ pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
         }
         Some(_) => {}
     }
-    let Some(file) = unless_missing(fs::File::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
+    let Some(file) = none_if_missing(fs::File::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
     let mut bytes = Vec::new();
     match file.take(most.saturating_add(1)).read_to_end(&mut bytes) {
         Ok(count) if count as u64 > most => Err(DiskError::at(path)(io::ErrorKind::FileTooLarge.into())),
@@ -137,8 +137,8 @@ pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
 pub fn remove(paths: &[impl AsRef<Path>]) -> Result<(), DiskError> {
     let mut folders = BTreeSet::new();
     for path in paths.iter().map(AsRef::as_ref) {
-        if unless_missing(fs::remove_file(path)).map_err(DiskError::at(path))?.is_some() {
-            folders.insert(folder_of(path));
+        if none_if_missing(fs::remove_file(path)).map_err(DiskError::at(path))?.is_some() {
+            folders.insert(parent_folder(path));
         }
     }
     folders.iter().try_for_each(|folder| sync_folder(folder))
@@ -152,7 +152,7 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
     if path.as_os_str().is_empty() || path.is_dir() {
         return Ok(());
     }
-    make_folder(folder_of(path))?;
+    make_folder(parent_folder(path))?;
     match fs::create_dir(path) {
         // Another process was faster.
         Err(_) if path.is_dir() => {}
@@ -166,19 +166,19 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
         }
         made => made.map_err(DiskError::at(path))?,
     }
-    sync_folder(folder_of(path))
+    sync_folder(parent_folder(path))
 }
 
 /// Makes the name of a file, and of those beside it, outlast a loss of power.
 ///
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
-pub fn sync_names_beside(path: &Path) -> Result<(), DiskError> {
-    sync_folder(folder_of(path))
+pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
+    sync_folder(parent_folder(path))
 }
 
 /// The folder that a file lies in.
-fn folder_of(path: &Path) -> &Path {
+fn parent_folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
@@ -189,7 +189,7 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     Ok(())
 }
 
-fn unless_missing<T>(result: io::Result<T>) -> io::Result<Option<T>> {
+fn none_if_missing<T>(result: io::Result<T>) -> io::Result<Option<T>> {
     match result {
         Ok(value) => Ok(Some(value)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),

@@ -14,4 +14,4 @@ pub mod disk;
 pub mod jobs;
 pub mod program;
 pub mod shard;
-pub mod work;
+pub mod run_folder;

@@ -14,7 +14,7 @@ use crumple_core::digest::Sha256;
 use crate::disk::DiskError;
 
 /// What an error says of half-done work of another build, behind the name of its file.
-pub const OTHER_BUILD: &str = "made by another build of crumple, and work ends in the build that it began in: go on with that \
+pub const OTHER_BUILD_MESSAGE: &str = "made by another build of crumple, and work ends in the build that it began in: go on with that \
                                build, or begin anew without --resume in another --out";
 
 /// Where the program is, if it is not the executable.
@@ -22,11 +22,11 @@ static LIBRARY: OnceLock<PathBuf> = OnceLock::new();
 
 /// Says that crumple was loaded into another program, such as an interpreter, from this file: [`identity`] is then that of the file.
 /// Only what is said first, and before an identity was asked for, counts.
-pub fn loaded_from(library: PathBuf) {
+pub fn set_library_path(library: PathBuf) {
     let _ = LIBRARY.set(library);
 }
 
-/// Returns the SHA-256 of the running executable, or of the library that [`loaded_from`] names, computed once per process.
+/// Returns the SHA-256 of the running executable, or of the library that [`set_library_path`] names, computed once per process.
 ///
 /// # Errors
 /// [`DiskError`] if the executable cannot be found or read.

@@ -6,11 +6,11 @@ use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::{InvalidField, short};
 
 use super::SUITE_VERSION;
-use super::figure::{Figure, ImpactLimit, Parameter, Unit};
+use super::parameter::{Figure, ImpactLimit, Parameter, Unit};
 use super::spec::{Lead, SuiteSpec, TestSpec, moved};
 
 /// Most points of all grids of a suite.
-const MOST_POINTS: usize = 2000;
+const MAX_POINTS: usize = 2000;
 
 /// Why a suite file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +58,7 @@ pub enum SuiteProblem {
     Name,
     /// A name that another test has.
     #[error("another test has this name")]
-    Twice,
+    DuplicateName,
     /// A text that is too long, empty or holds control characters.
     #[error("must have 1 to 2000 characters, none of them a control character")]
     Text,
@@ -66,34 +66,34 @@ pub enum SuiteProblem {
     #[error("must have {least} to {most} entries, found {found}")]
     Length {
         /// Fewest allowed.
-        least: usize,
+        min: usize,
         /// Most allowed.
-        most: usize,
+        max: usize,
         /// How many there are.
         found: usize,
     },
     /// A test with a situation and a refusal, or neither.
     #[error("a test has either `lead` or `refused`")]
-    Either,
+    LeadOrRefusal,
     /// A figure that the situation needs.
     #[error("is missing: where the lead is {lead} there must be one{}", alternative(or.as_ref()))]
     Missing {
         /// The situation.
         lead: &'static str,
         /// What may be stated in its place.
-        or: Option<Parameter>,
+        alternative: Option<Parameter>,
     },
     /// A figure that says what another one says already.
     #[error("is there beside `{}`, which says the same: there must be one of them", other.name())]
-    Both {
+    AlreadyStated {
         /// The other one.
         other: Parameter,
     },
     /// A contact that cannot be allowed.
     #[error("must be more than 0 and at most {most} {unit}, found {}", short(*found))]
-    Impact {
+    ImpactOutOfRange {
         /// The most, in the unit.
-        most: f64,
+        max: f64,
         /// The unit.
         unit: Unit,
         /// What the file says.
@@ -139,7 +139,7 @@ pub enum SuiteProblem {
     },
     /// A direction that ends within the grid.
     #[error("must lie beyond all values of {}", parameter.words())]
-    Within {
+    NotBeyondGrid {
         /// What is pushed.
         parameter: Parameter,
     },
@@ -148,7 +148,7 @@ pub enum SuiteProblem {
     NotSlower,
     /// A range of a figure without two values.
     #[error("{} has no two values between which there is a range", parameter.words())]
-    NoRange {
+    NoValueRange {
         /// The figure.
         parameter: Parameter,
     },
@@ -160,7 +160,7 @@ pub enum SuiteProblem {
     },
     /// A range that is stated twice.
     #[error("is stated twice")]
-    RangeTwice,
+    DuplicateRange,
     /// More points than a suite may have.
     #[error("makes {found} points, and a suite may have {MOST_POINTS}")]
     TooMany {
@@ -178,13 +178,13 @@ pub enum SuiteProblem {
 }
 
 /// What may be stated in place of a figure, in words.
-fn alternative(other: Option<&Parameter>) -> String {
+fn describe_alternative(other: Option<&Parameter>) -> String {
     other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
 }
 
-type Checked = Result<(), InvalidSuite>;
+type CheckResult = Result<(), InvalidSuite>;
 
-fn holds(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> Checked {
+fn ensure(condition: bool, field: impl Into<String>, problem: SuiteProblem) -> CheckResult {
     if condition { Ok(()) } else { Err(invalid(field, problem)) }
 }
 
@@ -192,7 +192,7 @@ fn invalid(field: impl Into<String>, problem: SuiteProblem) -> InvalidSuite {
     InvalidSuite { field: field.into(), problem }
 }
 
-pub(super) fn check(spec: &SuiteSpec) -> Checked {
+pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
     holds(spec.version == SUITE_VERSION, "version", SuiteProblem::Version { found: spec.version })?;
     name(&spec.name, "name")?;
     for (field, found) in [
@@ -239,12 +239,12 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
         }
         _ => return Err(invalid(place, SuiteProblem::Either)),
     };
-    check_figures(test, lead, place)?;
+    check_parameters(test, lead, place)?;
     if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
         let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
         holds(Parameter::OwnSpeed.units().contains(&found), at("unit"), SuiteProblem::ImpactUnit { found })?;
         // To nine digits, so that it is 360 km/h.
-        let most = (Parameter::OwnSpeed.range()[1] / unit.in_si() * 1e9).round() / 1e9;
+        let most = (Parameter::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
         holds(*value > 0.0 && *value <= most, at("value"), SuiteProblem::Impact { most, unit: *unit, found: *value })?;
         holds(note.is_empty() || text(note, "").is_ok(), at("note"), SuiteProblem::Text)?;
     }
@@ -286,7 +286,7 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
 }
 
 /// Checks that there is every figure that the situation needs, once, and no other.
-fn check_figures(test: &TestSpec, lead: Lead, place: &str) -> Checked {
+fn check_parameters(test: &TestSpec, lead: Lead, place: &str) -> CheckResult {
     let field = |parameter: Parameter| format!("{place}.figures.{}", parameter.name());
     for (parameter, found) in test.figures.stated() {
         let is_needed = lead.parameters().concat().contains(&parameter);
@@ -307,7 +307,7 @@ fn check_figures(test: &TestSpec, lead: Lead, place: &str) -> Checked {
     Ok(())
 }
 
-fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Checked {
+fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> CheckResult {
     if lead.is_slower() {
         let is_slower = test.si(point, Parameter::LeadSpeed) + 0.1 <= test.si(point, Parameter::OwnSpeed);
         holds(is_slower, field, SuiteProblem::NotSlower)?;
@@ -318,7 +318,7 @@ fn check_point(test: &TestSpec, lead: Lead, point: &[f64], field: &str) -> Check
         .map_err(|why| invalid(field, SuiteProblem::Scenario { point: point_in_words(), why: why.into() }))
 }
 
-fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {
+fn check_parameter(parameter: Parameter, figure: &Figure, field: &str) -> CheckResult {
     let at = |name: &str| format!("{field}.{name}");
     let found = figure.unit;
     holds(parameter.units().contains(&found), at("unit"), SuiteProblem::Unit { parameter, found })?;
@@ -341,22 +341,22 @@ fn figure(parameter: Parameter, figure: &Figure, field: &str) -> Checked {
 }
 
 /// A value that is a number in the range of what it is.
-fn value(parameter: Parameter, found: f64, unit: Unit, field: &str) -> Checked {
+fn check_value(parameter: Parameter, found: f64, unit: Unit, field: &str) -> CheckResult {
     // To nine digits, so that 0.5 m/s is 1.8 km/h.
-    let range = parameter.range().map(|end| (end / unit.in_si() * 1e9).round() / 1e9);
+    let range = parameter.range().map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
     holds((range[0]..=range[1]).contains(&found), field, SuiteProblem::OutOfRange { range, unit, found })
 }
 
-fn name(found: &str, field: impl Into<String>) -> Checked {
+fn check_name(found: &str, field: impl Into<String>) -> CheckResult {
     let is_plain = |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
     holds((1..=60).contains(&found.len()) && found.bytes().all(is_plain), field, SuiteProblem::Name)
 }
 
-fn text(found: &str, field: impl Into<String>) -> Checked {
+fn check_text(found: &str, field: impl Into<String>) -> CheckResult {
     let is_short = (1..=2000).contains(&found.chars().count());
     holds(is_short && !found.chars().any(char::is_control), field, SuiteProblem::Text)
 }
 
-fn length(found: usize, least: usize, most: usize, field: impl Into<String>) -> Checked {
+fn check_length(found: usize, least: usize, most: usize, field: impl Into<String>) -> CheckResult {
     holds((least..=most).contains(&found), field, SuiteProblem::Length { least, most, found })
 }

@@ -1,49 +1,49 @@
 //! Test suites after regulations and consumer tests: what a document asks for as data, run on scenarios, told as a matrix.
 //!
 //! A suite is a TOML file ([`SuiteSpec`]): a document and its edition, clauses, and tests with grids of figures, each of which says
-//! whether the document states it. [`Suite`] is a spec that was found valid. [`run`] makes every point of every grid a scenario,
+//! whether the document states it. [`TestSuite`] is a spec that was found valid. [`run`] makes every point of every grid a scenario,
 //! simulates it, and says how far each test can be pushed until it fails.
 //!
-//! It is after a document, on point masses in one lane. It certifies nothing: [`STATEMENT`] goes with every result.
+//! It is after a document, on point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
 
 mod check;
-mod course;
-mod figure;
-mod map;
+mod scenario;
+mod parameter;
+mod crash_map;
 mod margin;
-mod preventable;
+mod prevention;
 mod result;
 mod rows;
 mod run;
 mod shard;
 mod situation;
 mod spec;
-mod within;
+mod worst_in_tolerance;
 
 use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
-pub use figure::{Figure, Figures, ImpactLimit, Origin, Parameter, Unit};
-pub use map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
+pub use parameter::{Figure, Figures, ImpactLimit, Origin, Parameter, Unit};
+pub use crash_map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
 pub use margin::{Beyond, Margin, MarginEnd};
-pub use preventable::{Prevention, ReferenceRun};
-pub use result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
+pub use prevention::{Prevention, ReferenceRun};
+pub use result::{ClauseResult, Failed, DISCLAIMER, SuiteResult, TestResult, TestVerdict, Tested};
 pub use run::{SuiteRunError, run};
-pub use shard::{MergedSuite, SHARD_OF_A_SUITE, SuiteShardError, UnavailableController, run_shard};
+pub use shard::{MergedSuite, SUITE_SHARD_KIND, SuiteShardError, UnavailableController, run_shard};
 pub use situation::{Boundary, MapAxis, Situation};
-pub use spec::{ClauseSpec, Lead, Push, SuiteSpec, TestSpec};
-pub use within::Within;
+pub use spec::{ClauseSpec, Lead, MarginSweep, SuiteSpec, TestSpec};
+pub use worst_in_tolerance::Within;
 
 /// The version of the suite file format this release reads.
 pub(crate) const SUITE_VERSION: u32 = 1;
 
 /// A valid suite.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Suite {
+pub struct TestSuite {
     spec: SuiteSpec,
 }
 
-impl Suite {
+impl TestSuite {
     /// Accepts a spec if it is valid: every point of every grid is a scenario then, and so is every end of a margin.
     ///
     /// # Errors
@@ -90,7 +90,7 @@ impl Suite {
 }
 
 /// Name and text of every suite that is shipped.
-pub const SHIPPED: [(&str, &str); 6] = [
+pub const SHIPPED_SUITES: [(&str, &str); 6] = [
     ("fmvss-127", include_str!("shipped/fmvss-127.toml")),
     ("euro-ncap-2023", include_str!("shipped/euro-ncap-2023.toml")),
     ("euro-ncap-2026", include_str!("shipped/euro-ncap-2026.toml")),
@@ -100,7 +100,7 @@ pub const SHIPPED: [(&str, &str); 6] = [
 ];
 
 /// Documents that were looked for and have no suite, and why not.
-pub const NOT_SHIPPED: [(&str, &str); 1] = [(
+pub const UNSHIPPED_DOCUMENTS: [(&str, &str); 1] = [(
     "ISO 15622:2018",
     "its text could not be read: public copies end with the table of contents, and those who quote its figures contradict each other",
 )];

@@ -2,22 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::figure::{Parameter, Unit};
+use super::parameter::{Parameter, Unit};
 use super::result::TestVerdict;
 use super::run::{Criterion, Driven};
 use super::spec::{TestSpec, moved};
 
 /// Equal parts of a direction, at whose ends the test is run.
-const PARTS: usize = 16;
+const SWEEP_PARTS: usize = 16;
 
 /// How often the part with the first failure is halved: to a 2048th of the direction.
-const HALVINGS: usize = 7;
+const BISECTIONS: usize = 7;
 
 /// How far a test can be pushed in a direction, the other figures held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
     /// What is pushed.
-    pub push: Parameter,
+    #[serde(rename = "push")]
+    pub parameter: Parameter,
     /// The unit of all values here.
     pub unit: Unit,
     /// From where: the value of the grid that is next to `to`.
@@ -25,7 +26,8 @@ pub struct Margin {
     /// How far at most.
     pub to: f64,
     /// The other figures, in words.
-    pub held: String,
+    #[serde(rename = "held")]
+    pub fixed_parameters: String,
     /// Where it ends.
     pub end: MarginEnd,
 }
@@ -37,7 +39,8 @@ pub enum MarginEnd {
     /// The test does not pass from where it is pushed.
     None {
         /// What it does there.
-        beyond: Beyond,
+        #[serde(rename = "beyond")]
+        failure: SweepFailure,
     },
     /// It passes at the ends of all parts: nothing between them was run.
     Holds {
@@ -51,7 +54,8 @@ pub enum MarginEnd {
         /// The first that does not.
         fails_at: f64,
         /// What it does there.
-        beyond: Beyond,
+        #[serde(rename = "beyond")]
+        failure: SweepFailure,
         /// Whether it passes nowhere beyond on the grid of parts. If it does, this is the first failure that was found there.
         is_monotone: bool,
         /// How many parts the grid has.
@@ -62,7 +66,7 @@ pub enum MarginEnd {
 /// How a test does not pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Beyond {
+pub enum SweepFailure {
     /// A contact, or no usable answer of the controller.
     Fails,
     /// It cannot be run, as where a shield knows no way to keep off what it is shown.
@@ -70,20 +74,20 @@ pub enum Beyond {
 }
 
 /// What a test does at a value: it passes, or does not in some way.
-type Found = Result<(), Beyond>;
+type SweepOutcome = Result<(), SweepFailure>;
 
 /// A direction from a base.
-struct Line<'t> {
+struct Sweep<'t> {
     test: &'t TestSpec,
     base: Vec<f64>,
-    at: usize,
-    push: Parameter,
+    position: usize,
+    parameter: Parameter,
     unit: Unit,
     from: f64,
     to: f64,
 }
 
-impl Line<'_> {
+impl Sweep<'_> {
     /// The end of a part.
     fn value(&self, part: usize) -> f64 {
         self.from + (self.to - self.from) * (part as f64 / PARTS as f64)
@@ -91,7 +95,7 @@ impl Line<'_> {
 }
 
 /// The margins of a test: a line a direction and combination of the other figures.
-pub(super) fn margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>) -> Vec<Margin> {
+pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>) -> Vec<Margin> {
     let lines = lines(test);
     let ends: Vec<(usize, f64)> = (0..lines.len())
         .flat_map(|line| (0..=PARTS).map(move |part| (line, part)))
@@ -103,7 +107,7 @@ pub(super) fn margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>
     for _ in 0..HALVINGS {
         halve(&mut margin_ends, &lines, criterion, driven);
     }
-    let margin = |(line, end): (&Line<'_>, MarginEnd)| Margin {
+    let margin = |(line, end): (&Sweep<'_>, MarginEnd)| Margin {
         push: line.push,
         unit: line.unit,
         from: line.from,
@@ -114,21 +118,21 @@ pub(super) fn margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>
     lines.iter().zip(margin_ends).map(margin).collect()
 }
 
-fn lines(test: &TestSpec) -> Vec<Line<'_>> {
-    let mut lines: Vec<Line<'_>> = Vec::new();
+fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
+    let mut lines: Vec<Sweep<'_>> = Vec::new();
     for margin in &test.margins {
         let Some((at, figure)) = test.place(margin.push) else { continue };
         let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else { continue };
         let from = if margin.to > last { last } else { first };
         let bases = test.grid().into_iter().filter(|point| point.get(at) == Some(&from));
         let (push, unit, to) = (margin.push, figure.unit, margin.to);
-        lines.extend(bases.map(|base| Line { test, base, at, push, unit, from, to }));
+        lines.extend(bases.map(|base| Sweep { test, base, at, push, unit, from, to }));
     }
     lines
 }
 
 /// What the ends of the parts say.
-fn coarse(line: &Line<'_>, found: &[Found]) -> MarginEnd {
+fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
     let first = found.iter().zip(0..).find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
     match first {
         None => MarginEnd::Holds { parts: PARTS },
@@ -144,7 +148,7 @@ fn coarse(line: &Line<'_>, found: &[Found]) -> MarginEnd {
 }
 
 /// Halves every part with a boundary.
-fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], criterion: Criterion, driven: &Driven<'_>) {
+fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criterion, driven: &Driven<'_>) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
         MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
         MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
@@ -161,9 +165,9 @@ fn halve(margin_ends: &mut [MarginEnd], lines: &[Line<'_>], criterion: Criterion
 }
 
 /// What the test does at values of lines.
-fn found(lines: &[Line<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &Driven<'_>) -> Vec<Found> {
+fn evaluate(lines: &[Sweep<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &Driven<'_>) -> Vec<SweepOutcome> {
     let scenario = |&(line, value): &(usize, f64)| {
-        let line: &Line<'_> = lines.get(line)?;
+        let line: &Sweep<'_> = lines.get(line)?;
         line.test.scenario("margin", "", &moved(&line.base, line.at, value)).ok()
     };
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
@@ -171,8 +175,8 @@ fn found(lines: &[Line<'_>], values: &[(usize, f64)], criterion: Criterion, driv
     let mut seen = driven.seen(criterion, &valid).into_iter();
     let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
         Some(TestVerdict::Passed) => Ok(()),
-        Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(Beyond::Fails),
-        Some(TestVerdict::Refused { .. }) | None => Err(Beyond::Refused),
+        Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(SweepFailure::Fails),
+        Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),
     };
     scenarios.iter().map(Option::is_some).map(found).collect()
 }

@@ -5,19 +5,19 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::Unanswered;
 use serde::{Deserialize, Serialize};
 
-use super::figure::{Figures, ImpactLimit};
+use super::parameter::{Figures, ImpactLimit};
 use super::margin::Margin;
-use super::preventable::ReferenceRun;
-use super::within::Within;
+use super::prevention::ReferenceRun;
+use super::worst_in_tolerance::Within;
 use crumple_search::falsify::counterexample::Avoidability;
 
 /// What goes with every result.
-pub const STATEMENT: &str = "After the document, on a point-mass model in one lane. This is no certification.";
+pub const DISCLAIMER: &str = "After the document, on a point-mass model in one lane. This is no certification.";
 
 /// What a run of a suite found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SuiteResult {
-    /// What it is and is not: [`STATEMENT`].
+    /// What it is and is not: [`DISCLAIMER`].
     pub statement: &'static str,
     /// Name of the suite.
     pub suite: String,
@@ -26,11 +26,14 @@ pub struct SuiteResult {
     /// Its edition.
     pub edition: String,
     /// What the figures were read from.
-    pub figures_from: String,
+    #[serde(rename = "figures_from")]
+    pub parameter_source: String,
     /// What the document asks for and the model does not have.
-    pub outside: Vec<String>,
+    #[serde(rename = "outside")]
+    pub not_modelled: Vec<String>,
     /// Figures that were left out, and why.
-    pub left_out: Vec<String>,
+    #[serde(rename = "left_out")]
+    pub omitted_parameters: Vec<String>,
     /// What the controllers looked through. Reference drivers see the truth.
     pub estimator: EstimatorKind,
     /// The clauses.
@@ -43,7 +46,8 @@ pub struct ClauseResult {
     /// Its number in the document.
     pub clause: String,
     /// What it says, in short.
-    pub says: String,
+    #[serde(rename = "says")]
+    pub summary: String,
     /// Its tests.
     pub tests: Vec<TestResult>,
 }
@@ -56,17 +60,18 @@ pub struct TestResult {
     /// Whether the document states its figures; else some were chosen here.
     pub is_as_stated: bool,
     /// Its figures, each with who says so.
-    pub figures: Figures,
+    #[serde(rename = "figures")]
+    pub parameters: Figures,
     /// The fastest contact at which it passes; none if no contact does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
     /// An entry a controller.
-    pub controllers: Vec<Tested>,
+    pub controllers: Vec<ControllerResult>,
 }
 
 /// What was found of a test and a controller.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Tested {
+pub struct ControllerResult {
     /// The controller's name.
     pub controller: String,
     /// The worst of all points.
@@ -74,21 +79,24 @@ pub struct Tested {
     /// How many points there are.
     pub points: usize,
     /// How many of them passed.
-    pub passed: usize,
+    #[serde(rename = "passed")]
+    pub passed_points: usize,
     /// The smallest gap at any point, in metres.
     pub min_gap_m: Option<f64>,
     /// How far the test can be pushed until it fails.
     pub margins: Vec<Margin>,
     /// The worst point found within the ranges that the clause allows; none where it states none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub within: Option<Within>,
+    #[serde(rename = "within")]
+    pub worst_in_tolerance: Option<Within>,
     /// The points of the grid that failed.
-    pub failed: Vec<Failed>,
+    #[serde(rename = "failed")]
+    pub failed_points: Vec<Failed>,
 }
 
 /// A point that failed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Failed {
+pub struct FailedPoint {
     /// The point in words.
     pub point: String,
     /// What happened.
@@ -135,7 +143,7 @@ pub enum TestVerdict {
     },
 }
 
-impl Tested {
+impl ControllerResult {
     /// Points of its grid in which the controller gave no answer: they are among those that failed.
     #[must_use]
     pub fn unanswered(&self) -> Option<Unanswered> {
@@ -183,7 +191,7 @@ impl TestVerdict {
     }
 
     /// How bad it is: contacts by their speed, then failures of controllers, then refusals.
-    fn badness(&self) -> (u8, f64) {
+    fn severity_key(&self) -> (u8, f64) {
         match self {
             Self::Passed => (0, 0.0),
             Self::Refused { .. } => (1, 0.0),

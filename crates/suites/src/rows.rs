@@ -5,9 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::margin::Margin;
-use super::preventable::ReferenceRun;
+use super::prevention::ReferenceRun;
 use super::result::{Failed, TestVerdict, Tested};
-use super::within::Within;
+use super::worst_in_tolerance::Within;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
 use crumple_world::sim::Unanswered;
@@ -15,35 +15,40 @@ use crumple_world::sim::Unanswered;
 /// [`Tested`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TestedRow {
+pub struct ControllerResultRow {
     pub(super) controller: String,
     verdict: TestVerdict,
     points: usize,
-    passed: usize,
+    #[serde(rename = "passed")]
+    passed_points: usize,
     min_gap_m: Option<f64>,
     margins: Vec<Margin>,
-    within: Option<WithinRow>,
-    failed: Vec<FailedRow>,
+    #[serde(rename = "within")]
+    worst_in_tolerance: Option<WorstInToleranceRow>,
+    #[serde(rename = "failed")]
+    failed_points: Vec<FailedPointRow>,
 }
 
 /// [`Within`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct WithinRow {
+struct WorstInToleranceRow {
     point: String,
     verdict: TestVerdict,
     min_gap_m: Option<f64>,
-    tried: usize,
+    #[serde(rename = "tried")]
+    points_run: usize,
     failures: usize,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unanswered: Option<Unanswered>,
-    failed: Option<FailedRow>,
+    #[serde(rename = "failed")]
+    failed_point: Option<FailedPointRow>,
 }
 
 /// [`Failed`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct FailedRow {
+struct FailedPointRow {
     point: String,
     verdict: TestVerdict,
     references: Vec<ReferenceRun>,
@@ -53,8 +58,8 @@ struct FailedRow {
     scenario: String,
 }
 
-impl TestedRow {
-    pub(super) fn of(tested: &Tested) -> Result<Self, toml::ser::Error> {
+impl ControllerResultRow {
+    pub(super) fn encode(tested: &Tested) -> Result<Self, toml::ser::Error> {
         let Tested { controller, verdict, points, passed, min_gap_m, margins, within, failed } = tested.clone();
         Ok(Self {
             controller,
@@ -63,43 +68,43 @@ impl TestedRow {
             passed,
             min_gap_m,
             margins,
-            within: within.map(WithinRow::of).transpose()?,
-            failed: failed.into_iter().map(FailedRow::of).collect::<Result<_, _>>()?,
+            within: within.map(WorstInToleranceRow::of).transpose()?,
+            failed: failed.into_iter().map(FailedPointRow::of).collect::<Result<_, _>>()?,
         })
     }
 
     /// What it was, unless it cannot be that.
-    pub(super) fn read(self) -> Result<Tested, String> {
+    pub(super) fn decode(self) -> Result<Tested, String> {
         let Self { controller, verdict, points, passed, min_gap_m, margins, within, failed } = self;
-        let within = within.map(WithinRow::read).transpose()?;
-        let failed = failed.into_iter().map(FailedRow::read).collect::<Result<_, _>>()?;
+        let within = within.map(WorstInToleranceRow::read).transpose()?;
+        let failed = failed.into_iter().map(FailedPointRow::read).collect::<Result<_, _>>()?;
         Ok(Tested { controller, verdict, points, passed, min_gap_m, margins, within, failed })
     }
 }
 
-impl WithinRow {
-    fn of(within: Within) -> Result<Self, toml::ser::Error> {
+impl WorstInToleranceRow {
+    fn encode(within: Within) -> Result<Self, toml::ser::Error> {
         let Within { point, verdict, min_gap_m, tried, failures, unanswered, failed } = within;
-        let failed = failed.map(FailedRow::of).transpose()?;
+        let failed = failed.map(FailedPointRow::of).transpose()?;
         Ok(Self { point, verdict, min_gap_m, tried, failures, unanswered, failed })
     }
 
-    fn read(self) -> Result<Within, String> {
+    fn decode(self) -> Result<Within, String> {
         let Self { point, verdict, min_gap_m, tried, failures, unanswered, failed } = self;
-        let failed = failed.map(FailedRow::read).transpose()?;
+        let failed = failed.map(FailedPointRow::read).transpose()?;
         Ok(Within { point, verdict, min_gap_m, tried, failures, unanswered, failed })
     }
 }
 
-impl FailedRow {
-    fn of(failed: Failed) -> Result<Self, toml::ser::Error> {
+impl FailedPointRow {
+    fn encode(failed: Failed) -> Result<Self, toml::ser::Error> {
         let scenario = file::to_toml(&failed.scenario)?;
         let escape = failed.escape.as_ref().map(file::to_toml).transpose()?;
         let Failed { point, verdict, references, avoidability, .. } = failed;
         Ok(Self { point, verdict, references, avoidability, escape, scenario })
     }
 
-    fn read(self) -> Result<Failed, String> {
+    fn decode(self) -> Result<Failed, String> {
         let Self { point, verdict, references, avoidability, escape, scenario } = self;
         let read = |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| error.to_string());
         let (scenario, escape) = (read(&scenario)?, escape.as_deref().map(read).transpose()?);

@@ -12,10 +12,10 @@ use crumple_world::sim::{
 
 use super::Suite;
 use super::margin::margins;
-use super::preventable::{Prevented, prevented};
-use super::result::{ClauseResult, Failed, STATEMENT, SuiteResult, TestResult, TestVerdict, Tested};
+use super::prevention::{Preventability, prevented};
+use super::result::{ClauseResult, Failed, DISCLAIMER, SuiteResult, TestResult, TestVerdict, Tested};
 use super::spec::{ClauseSpec, Lead, SuiteSpec, TestSpec};
-use super::within::{Within, Worst, worst};
+use super::worst_in_tolerance::{Within, WorstPoint, worst};
 use crumple_search::falsify::counterexample::Classed;
 
 /// Why a suite or a map of one is not run to its end.
@@ -51,14 +51,14 @@ impl Criterion {
 }
 
 /// What drives, and what it looks through.
-pub(super) struct Driven<'c> {
+pub(super) struct ControllerSetup<'c> {
     pub(super) controller: &'c ControllerKind,
     pub(super) estimator: EstimatorKind,
 }
 
 /// What a run showed of a point.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
+pub(super) struct RunResult {
     pub(super) verdict: TestVerdict,
     pub(super) min_gap_m: Option<f64>,
     /// Hardest braking of the vehicle under test, in m/s², positive.
@@ -91,12 +91,12 @@ pub fn run(
 }
 
 /// How many pieces there are that can be run by themselves: a test and a controller each, in the order of the suite.
-pub(super) fn pieces(suite: &SuiteSpec, controllers: usize) -> u64 {
+pub(super) fn pair_count(suite: &SuiteSpec, controllers: usize) -> u64 {
     suite.clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
 }
 
 /// Runs some of the pieces, in order, and says of each what was found; of a controller that was refused on the way nothing is said.
-pub(super) fn each<E: From<SuiteRunError>>(
+pub(super) fn run_pairs<E: From<SuiteRunError>>(
     suite: &Suite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
@@ -105,18 +105,18 @@ pub(super) fn each<E: From<SuiteRunError>>(
 ) -> Result<(), E> {
     let spec = suite.spec();
     let tests = spec.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)));
-    let (mut known, mut piece) = (Known::new(), 0);
+    let (mut known, mut piece) = (PreventabilityCache::new(), 0);
     for (clause, test) in tests {
         let own = piece..piece + controllers.len() as u64;
         piece = own.end;
         if own.end <= wanted.start || own.start >= wanted.end {
             continue;
         }
-        let course = Course::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))
+        let course = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))
             .map_err(SuiteRunError::Scenario)?;
         for (_, controller) in own.zip(controllers).filter(|(piece, _)| wanted.contains(piece)) {
             let tested = course.tested(controller, estimator, &mut known);
-            controller.not_refused().map_err(SuiteRunError::Refused)?;
+            controller.ensure_trusted().map_err(SuiteRunError::Refused)?;
             found(tested)?;
         }
     }
@@ -124,7 +124,7 @@ pub(super) fn each<E: From<SuiteRunError>>(
 }
 
 /// The result of a suite from that of all its pieces, which come in order.
-pub(super) fn assembled(
+pub(super) fn assemble(
     spec: &SuiteSpec,
     estimator: EstimatorKind,
     controllers: usize,
@@ -144,7 +144,7 @@ pub(super) fn assembled(
         tests: clause.tests.iter().map(&mut test).collect(),
     };
     SuiteResult {
-        statement: STATEMENT,
+        statement: DISCLAIMER,
         suite: spec.name.clone(),
         document: spec.document.clone(),
         edition: spec.edition.clone(),
@@ -157,10 +157,10 @@ pub(super) fn assembled(
 }
 
 /// What is known of points whatever controller failed there, by the names of their scenarios.
-pub(super) type Known = BTreeMap<String, Prevented>;
+pub(super) type PreventabilityCache = BTreeMap<String, Preventability>;
 
 /// A test with the scenarios of its grid.
-struct Course<'t> {
+struct TestGrid<'t> {
     /// What begins the names of its scenarios.
     name: String,
     about: String,
@@ -170,7 +170,7 @@ struct Course<'t> {
     scenarios: Vec<Scenario>,
 }
 
-impl<'t> Course<'t> {
+impl<'t> TestGrid<'t> {
     fn new(suite: &str, test: &'t TestSpec, about: String) -> Result<Self, InvalidField> {
         let grid = if test.lead.is_some() { test.grid() } else { Vec::new() };
         let name = format!("{suite}-{}", test.name);
@@ -182,8 +182,8 @@ impl<'t> Course<'t> {
         Ok(Self { name, about: format!("{about} {STATEMENT}"), test, criterion: test.criterion(), grid, scenarios })
     }
 
-    fn tested(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut Known) -> Tested {
-        let driven = Driven { controller: &controller.kind, estimator };
+    fn run(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut PreventabilityCache) -> Tested {
+        let driven = ControllerSetup { controller: &controller.kind, estimator };
         let seen = match (self.criterion, &self.test.refused) {
             (Some(criterion), _) => driven.seen(criterion, &self.scenarios),
             (None, reason) => vec![Seen::refused(reason.clone().unwrap_or_default())],
@@ -202,8 +202,8 @@ impl<'t> Course<'t> {
         }
     }
 
-    fn within(&self, driven: &Driven<'_>, known: &mut Known) -> Option<Within> {
-        let Worst { point, scenario, seen, tried, failures, unanswered } =
+    fn worst_in_tolerance(&self, driven: &ControllerSetup<'_>, known: &mut PreventabilityCache) -> Option<Within> {
+        let WorstPoint { point, scenario, seen, tried, failures, unanswered } =
             worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
         let failed = self.failed(&points, &scenarios, &all, known).pop();
@@ -219,7 +219,7 @@ impl<'t> Course<'t> {
         })
     }
 
-    fn failed(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[Seen], known: &mut Known) -> Vec<Failed> {
+    fn failed_points(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[Seen], known: &mut PreventabilityCache) -> Vec<Failed> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
         // Where a controller gave no answer there may be nothing to prevent.
@@ -228,7 +228,7 @@ impl<'t> Course<'t> {
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
         let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
-        let nobody = || Prevented { references: Vec::new(), classed: Classed::default() };
+        let nobody = || Preventability { references: Vec::new(), classed: Classed::default() };
         let with = failed.into_iter().map(|one| {
             let prevented = if is_silent(one.1) { None } else { prevented.next() };
             (one, prevented.unwrap_or_else(nobody))
@@ -246,9 +246,9 @@ impl<'t> Course<'t> {
     }
 }
 
-impl Driven<'_> {
+impl ControllerSetup<'_> {
     /// What each scenario shows.
-    pub(super) fn seen(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<Seen> {
+    pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<Seen> {
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
         let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
         let mut refused = Vec::new();
@@ -264,7 +264,7 @@ impl Driven<'_> {
     }
 }
 
-fn judged(criterion: Criterion, simulated: &Simulated) -> Seen {
+fn judge(criterion: Criterion, simulated: &Simulated) -> Seen {
     let lead = criterion.lead;
     let trace = simulated.trace.as_ref();
     let end_s = trace.and_then(|trace| end_s(lead, trace));
@@ -288,7 +288,7 @@ fn judged(criterion: Criterion, simulated: &Simulated) -> Seen {
 }
 
 /// When the test is over: what comes afterwards is no part of it.
-fn end_s(lead: Lead, trace: &Trace) -> Option<f64> {
+fn test_end_s(lead: Lead, trace: &Trace) -> Option<f64> {
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
         Lead::Slower | Lead::CutIn => own_mps <= ahead_mps,
         Lead::Stopped | Lead::Decelerating | Lead::CutOut => own_mps == 0.0,

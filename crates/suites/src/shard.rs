@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::rows::TestedRow;
+use super::rows::ControllerResultRow;
 use super::run::{SuiteRunError, assembled, each, pieces};
 use super::{InvalidSuite, Suite, SuiteResult, SuiteSpec, Tested};
 use crumple_core::observer::{Observer, Progress, Stopped};
@@ -17,7 +17,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, UnknownController};
 
 /// What a folder of one is called in its `work.json`.
-pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
+pub const SUITE_SHARD_KIND: &str = "shard of a suite";
 
 /// Why a shard of a suite is not made.
 #[derive(Debug, thiserror::Error)]
@@ -25,13 +25,13 @@ pub const SHARD_OF_A_SUITE: &str = "shard of a suite";
 pub enum SuiteShardError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    RunFolder(#[from] WorkError),
     /// There are more shards than tests and controllers.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
     /// The controller cannot be told from others.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
-    Unknown(String),
+    NoIdentity(String),
     /// A controller was refused on the way.
     #[error(transparent)]
     Run(#[from] SuiteRunError),
@@ -59,7 +59,7 @@ pub enum UnavailableController {
     #[error(
         "the recorded controller `{name}` is not available: its identity is {recorded}, and here `{name}` has {found}"
     )]
-    Other {
+    OtherIdentity {
         /// Its name.
         name: String,
         /// The identity in the shards: SHA-256, in hexadecimal.
@@ -76,7 +76,7 @@ pub struct ShardedSuite {
 }
 
 impl Sharded for ShardedSuite {
-    const KIND: &'static str = SHARD_OF_A_SUITE;
+    const KIND: &'static str = SUITE_SHARD_KIND;
     const VERSION: u32 = 1;
     const RESULTS: &'static str = "results.json";
     const PARTS: &'static str = "pairs of a test and a controller";
@@ -103,10 +103,10 @@ impl Sharded for ShardedSuite {
 }
 
 impl Mergeable for ShardedSuite {
-    type File = Results;
-    type Results = Vec<TestedRow>;
+    type File = SuiteShardResults;
+    type SuiteShardResults = Vec<ControllerResultRow>;
 
-    fn check(&self, results: Results, shard: Shard, own: &Range<u64>) -> Result<Vec<TestedRow>, String> {
+    fn check(&self, results: SuiteShardResults, shard: Shard, own: &Range<u64>) -> Result<Vec<ControllerResultRow>, String> {
         let names = self.run.controllers.iter().map(|(name, _)| name).cycle();
         let places = names.skip((own.start % self.run.controllers.len().max(1) as u64) as usize);
         let is_of = results.tested.iter().zip(places).all(|(tested, name)| tested.controller == *name);
@@ -132,8 +132,9 @@ pub(super) struct SuiteRun {
 /// The file `results.json`.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Results {
-    tested: Vec<TestedRow>,
+pub struct SuiteShardResults {
+    #[serde(rename = "tested")]
+    rows: Vec<ControllerResultRow>,
 }
 
 /// Runs a shard of a suite in `folder`, or continues it with `resume`. Returns the number of its pieces: tests times controllers.
@@ -173,7 +174,7 @@ pub fn run_shard(
         return Err(WorkError::damaged(&work.path(ShardedSuite::RESULTS), "more than the shard has").into());
     }
     each(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
-        results.tested.push(TestedRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
+        results.tested.push(ControllerResultRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
         work.write(ShardedSuite::RESULTS, json(&results)?)?;
         Ok::<(), SuiteShardError>(observer.notify(&Progress { done: results.tested.len() as u64, total: Some(count) })?)
     })?;
@@ -181,8 +182,8 @@ pub fn run_shard(
     Ok(count)
 }
 
-fn resumed(work: &Work) -> Result<Results, WorkError> {
-    let Some(bytes) = work.read(ShardedSuite::RESULTS)? else { return Ok(Results::default()) };
+fn read_results(work: &Work) -> Result<SuiteShardResults, WorkError> {
+    let Some(bytes) = work.read(ShardedSuite::RESULTS)? else { return Ok(SuiteShardResults::default()) };
     serde_json::from_slice(&bytes)
         .map_err(|error| WorkError::damaged(&work.path(ShardedSuite::RESULTS), error.to_string()))
 }
@@ -210,7 +211,7 @@ impl MergedSuite {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         Merged::of(folder, found).map(Self)
     }
 
@@ -253,6 +254,6 @@ impl MergedSuite {
     }
 }
 
-fn json(value: &impl Serialize) -> Result<String, SuiteShardError> {
+fn to_json(value: &impl Serialize) -> Result<String, SuiteShardError> {
     Ok(serde_json::to_string(value).map_err(|error| SuiteShardError::Encoding(error.to_string()))? + "\n")
 }

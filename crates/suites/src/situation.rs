@@ -5,17 +5,17 @@ use crumple_world::scenario::{InvalidField, Scenario, VehicleClass};
 use serde::Serialize;
 
 use super::Suite;
-use super::figure::{Figure, Figures, Origin, Unit};
-use super::result::STATEMENT;
+use super::parameter::{Figure, Figures, Origin, Unit};
+use super::result::DISCLAIMER;
 use super::spec::{Lead, TestSpec};
 
 /// Kilometres an hour in a metre a second.
-const KMPH: f64 = 3.6;
+const KMPH_PER_MPS: f64 = 3.6;
 
 /// A situation, what is held, and the two figures that a map is over.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
-pub enum Situation {
+pub enum CrashMapSituation {
     /// The vehicle ahead, as fast as the vehicle under test, brakes at once and to standstill. Across its braking, up the speed.
     CarFollowing {
         /// The gap at the start as the time that driving it takes, in seconds.
@@ -35,7 +35,7 @@ pub enum Situation {
 
 /// One of the two figures of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct MapAxis {
+pub struct CrashMapAxis {
     /// What it is, for readers.
     pub title: &'static str,
     /// Its unit.
@@ -48,10 +48,10 @@ pub struct MapAxis {
     pub cells: usize,
 }
 
-impl MapAxis {
+impl CrashMapAxis {
     /// The middle of a cell, from 0, to a thousandth: what is run is what is shown.
     #[must_use]
-    pub(crate) fn middle(&self, cell: usize) -> f64 {
+    pub(crate) fn cell_middle(&self, cell: usize) -> f64 {
         let middle = self.low + (self.high - self.low) * ((cell as f64 + 0.5) / self.cells as f64);
         (middle * 1e3).round() / 1e3
     }
@@ -61,7 +61,8 @@ impl MapAxis {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Boundary {
     /// Whose it is, and its formula, for readers.
-    pub words: String,
+    #[serde(rename = "words")]
+    pub label: String,
     /// The driver whose line it is; none for the line that nobody drives beyond.
     pub driver: Option<&'static str>,
     /// Time before it brakes, in seconds.
@@ -72,11 +73,11 @@ pub struct Boundary {
     pub points: Vec<[f64; 2]>,
 }
 
-impl Situation {
+impl CrashMapSituation {
     /// The time gaps that a map may have, in seconds.
-    pub(crate) const TIME_GAP_S: [f64; 2] = [0.2, 10.0];
+    pub(crate) const TIME_GAP_RANGE_S: [f64; 2] = [0.2, 10.0];
     /// The speeds of the vehicle under test that a map may have, in km/h.
-    pub(crate) const OWN_SPEED_KMPH: [f64; 2] = [30.0, 250.0];
+    pub(crate) const OWN_SPEED_RANGE_KMPH: [f64; 2] = [30.0, 250.0];
 
     /// Its name.
     #[must_use]
@@ -90,7 +91,7 @@ impl Situation {
 
     /// What it is, with what is held.
     #[must_use]
-    pub fn words(self) -> String {
+    pub fn description(self) -> String {
         match self {
             Self::CarFollowing { time_gap_s } => format!(
                 "The vehicle ahead brakes at once and to standstill; both drive at the same speed, {time_gap_s} s apart."
@@ -106,15 +107,15 @@ impl Situation {
         let ([low, high], value) = match self {
             Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_S, time_gap_s),
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => {
-                (Self::OWN_SPEED_KMPH, own_speed_kmph)
+                (Self::OWN_SPEED_RANGE_KMPH, own_speed_kmph)
             }
         };
         (low..=high).contains(&value)
     }
 
     /// The figure across and the one up, with so many cells.
-    pub(super) fn axes(self, [across, up]: [usize; 2]) -> [MapAxis; 2] {
-        let axis = |title, unit, low, high, cells| MapAxis { title, unit, low, high, cells };
+    pub(super) fn axes(self, [across, up]: [usize; 2]) -> [CrashMapAxis; 2] {
+        let axis = |title, unit, low, high, cells| CrashMapAxis { title, unit, low, high, cells };
         let slower =
             |own_kmph: f64| axis("How much slower it is (km/h)", "km/h", 5.0, (own_kmph - 10.0).min(90.0), across);
         match self {
@@ -131,7 +132,7 @@ impl Situation {
         }
     }
 
-    pub(super) fn lead(self) -> Lead {
+    pub(super) fn lead_maneuver(self) -> Lead {
         match self {
             Self::CarFollowing { .. } => Lead::Decelerating,
             Self::CutInGap { .. } | Self::CutInTime { .. } => Lead::CutIn,
@@ -144,7 +145,7 @@ impl Situation {
         let figures = match self {
             Self::CarFollowing { time_gap_s } => Figures {
                 own_speed: figure(up, Unit::Kmph),
-                gap: figure(time_gap_s * up / KMPH, Unit::Metre),
+                gap: figure(time_gap_s * up / KMPH_PER_MPS, Unit::Metre),
                 deceleration: figure(across, Unit::Mps2),
                 ramp: figure(0.0, Unit::Second),
                 ..Figures::default()
@@ -152,13 +153,13 @@ impl Situation {
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => Figures {
                 own_speed: figure(own_speed_kmph, Unit::Kmph),
                 lead_speed: figure(own_speed_kmph - across, Unit::Kmph),
-                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH) }, Unit::Second),
+                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH_PER_MPS) }, Unit::Second),
                 ..Figures::default()
             },
         };
         let test = TestSpec { name: self.name().to_owned(), lead: Some(self.lead()), figures, ..TestSpec::default() };
         let point: Vec<f64> = test.grid().concat();
-        test.scenario(&format!("{}-{across}-{up}", self.name()), STATEMENT, &point)
+        test.scenario(&format!("{}-{across}-{up}", self.name()), DISCLAIMER, &point)
     }
 
     fn is_by_time(self) -> bool {
@@ -166,7 +167,7 @@ impl Situation {
     }
 
     /// The lines of closed forms that cross the map: of whoever brakes as hard as the vehicle can at once, and of the simple driver of UN R157.
-    pub(super) fn boundaries(self, [across, up]: [&MapAxis; 2]) -> Vec<Boundary> {
+    pub(super) fn boundaries(self, [across, up]: [&CrashMapAxis; 2]) -> Vec<Boundary> {
         let simple = R157SimpleSettings::default();
         let hardest_mps2 = VehicleClass::Light.max_brake_mps2();
         let lines = [
@@ -188,13 +189,13 @@ impl Situation {
     /// Following at a time gap T, the vehicle ahead braking harder than oneself: both stand at the nearest, and
     /// T v + v²/(2 d) = τ v + v²/(2 b). Braking softer than oneself takes no more than T v as long as T is at least τ. Behind
     /// one that cuts in Δv slower it takes Δv τ + Δv²/(2 b).
-    fn limit(self, across: f64, reaction_s: f64, brake_mps2: f64) -> Option<f64> {
-        let slower_mps = across / KMPH;
+    fn contact_limit(self, across: f64, reaction_s: f64, brake_mps2: f64) -> Option<f64> {
+        let slower_mps = across / KMPH_PER_MPS;
         let needed_s = reaction_s + slower_mps / (2.0 * brake_mps2);
         match self {
             Self::CarFollowing { time_gap_s } => {
                 let harder = 1.0 / brake_mps2 - 1.0 / across;
-                (harder > 0.0 && time_gap_s >= reaction_s).then(|| KMPH * 2.0 * (time_gap_s - reaction_s) / harder)
+                (harder > 0.0 && time_gap_s >= reaction_s).then(|| KMPH_PER_MPS * 2.0 * (time_gap_s - reaction_s) / harder)
             }
             Self::CutInTime { .. } => Some(needed_s),
             Self::CutInGap { .. } => Some(needed_s * slower_mps),
@@ -202,7 +203,7 @@ impl Situation {
     }
 
     /// Whether the closed form says that a cell ends in contact; none where it says nothing.
-    pub(super) fn touches(self, line: &Boundary, [across, up]: [f64; 2]) -> Option<bool> {
+    pub(super) fn predicts_contact(self, line: &Boundary, [across, up]: [f64; 2]) -> Option<bool> {
         let limit = self.limit(across, line.reaction_s, line.brake_mps2);
         match self {
             Self::CarFollowing { time_gap_s } if time_gap_s < line.reaction_s => None,
@@ -218,7 +219,7 @@ impl Situation {
     }
 
     /// Points that a document states, beyond which contact has to be avoided: rows of the AFGBV's table.
-    pub(super) fn stated(self) -> Vec<[f64; 2]> {
+    pub(super) fn stated_points(self) -> Vec<[f64; 2]> {
         let suite = match self {
             Self::CarFollowing { .. } => None,
             Self::CutInGap { .. } | Self::CutInTime { .. } => Suite::shipped("afgbv-cut-in").and_then(Result::ok),
@@ -228,7 +229,7 @@ impl Situation {
             let stated = test.figures.closing_time.as_ref().filter(|figure| figure.origin == Origin::Document)?;
             let slower_kmph = first(&test.figures.own_speed)? - first(&test.figures.lead_speed)?;
             let time_s = *stated.values.first()?;
-            Some([slower_kmph, if self.is_by_time() { time_s } else { time_s * slower_kmph / KMPH }])
+            Some([slower_kmph, if self.is_by_time() { time_s } else { time_s * slower_kmph / KMPH_PER_MPS }])
         };
         let tests = suite.iter().flat_map(|suite| &suite.spec().clauses).flat_map(|clause| &clause.tests);
         tests.filter_map(point).collect()

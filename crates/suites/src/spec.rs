@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::figure::{Figure, Figures, ImpactLimit, Origin, Parameter};
+use super::parameter::{Figure, Figures, ImpactLimit, Origin, Parameter};
 use super::run::Criterion;
 
 /// A suite as a file states it: plain data that may hold nonsense.
@@ -22,13 +22,16 @@ pub struct SuiteSpec {
     /// Its edition.
     pub edition: String,
     /// What the figures were read from.
-    pub figures_from: String,
+    #[serde(rename = "figures_from")]
+    pub parameter_source: String,
     /// What the document asks for and the model does not have.
     #[serde(default)]
-    pub outside: Vec<String>,
+    #[serde(rename = "outside")]
+    pub not_modelled: Vec<String>,
     /// Figures that were left out, and why.
     #[serde(default)]
-    pub left_out: Vec<String>,
+    #[serde(rename = "left_out")]
+    pub omitted_parameters: Vec<String>,
     /// Its clauses; 1 to 100.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub clauses: Vec<ClauseSpec>,
@@ -42,7 +45,8 @@ pub struct ClauseSpec {
     /// Its number in the document.
     pub clause: String,
     /// What it says, in short.
-    pub says: String,
+    #[serde(rename = "says")]
+    pub summary: String,
     /// Its tests; 1 to 100. A test passes if there is no contact before it ends, or none faster than it allows.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub tests: Vec<TestSpec>,
@@ -57,13 +61,15 @@ pub struct TestSpec {
     pub name: String,
     /// What the vehicle ahead does. Either this or `refused`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub lead: Option<Lead>,
+    pub lead: Option<LeadManeuver>,
     /// Why the test cannot be run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<String>,
+    #[serde(rename = "refused")]
+    pub refusal_reason: Option<String>,
     /// Its figures. The test is run at every combination of their values.
     #[serde(default)]
-    pub figures: Figures,
+    #[serde(rename = "figures")]
+    pub parameters: Figures,
     /// The fastest contact at which it passes nevertheless; without it no contact passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
@@ -74,7 +80,7 @@ pub struct TestSpec {
     /// How it is pushed until it fails.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(length(max = 10)))]
-    pub margins: Vec<Push>,
+    pub margins: Vec<MarginSweep>,
 }
 
 /// What the vehicle ahead does.
@@ -82,7 +88,7 @@ pub struct TestSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum Lead {
+pub enum LeadManeuver {
     /// It stands. The test ends when the vehicle under test stands.
     Stopped,
     /// It drives slower, at a constant speed. The test ends when the vehicle under test no longer closes in.
@@ -102,14 +108,15 @@ pub enum Lead {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
-pub struct Push {
+pub struct MarginSweep {
     /// What is pushed, from the value of the grid that is next to `to`.
-    pub push: Parameter,
+    #[serde(rename = "push")]
+    pub parameter: Parameter,
     /// How far, in the unit of the figure; beyond all its values.
     pub to: f64,
 }
 
-impl Lead {
+impl LeadManeuver {
     /// The figures that it needs: one of each entry.
     #[must_use]
     pub(crate) fn parameters(self) -> &'static [&'static [Parameter]] {
@@ -124,7 +131,7 @@ impl Lead {
 
     /// The place of the vehicle under test in the line, from the front.
     #[must_use]
-    pub(crate) fn under_test(self) -> usize {
+    pub(crate) fn under_test_index(self) -> usize {
         match self {
             Self::Stopped | Self::Slower | Self::Decelerating => 1,
             Self::CutIn | Self::CutOut => 2,
@@ -132,7 +139,7 @@ impl Lead {
     }
 
     /// Whether the vehicle under test has to be faster than the one ahead.
-    pub(super) fn is_slower(self) -> bool {
+    pub(super) fn requires_slower_lead(self) -> bool {
         matches!(self, Self::Slower | Self::CutIn)
     }
 
@@ -159,7 +166,7 @@ impl TestSpec {
 
     /// When it is over and what passes; none if it cannot be run.
     pub(super) fn criterion(&self) -> Option<Criterion> {
-        let impact_at_most_mps = self.impact_at_most.as_ref().map(|limit| limit.value * limit.unit.in_si());
+        let impact_at_most_mps = self.impact_at_most.as_ref().map(|limit| limit.value * limit.unit.si_factor());
         Some(Criterion { lead: self.lead?, impact_at_most_mps })
     }
 
@@ -176,24 +183,24 @@ impl TestSpec {
     }
 
     /// How many combinations there are.
-    pub(super) fn points(&self) -> usize {
+    pub(super) fn point_count(&self) -> usize {
         self.figures.stated().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
     }
 
     /// Where a parameter stands in a point.
-    pub(super) fn place(&self, parameter: Parameter) -> Option<(usize, &Figure)> {
+    pub(super) fn find_parameter(&self, parameter: Parameter) -> Option<(usize, &Figure)> {
         let mut stated = self.figures.stated().enumerate();
         stated.find(|(_, (found, _))| *found == parameter).map(|(place, (_, figure))| (place, figure))
     }
 
     /// A point in words, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
-    pub(crate) fn in_words(&self, point: &[f64]) -> String {
+    pub(crate) fn describe_point(&self, point: &[f64]) -> String {
         self.words(point, None)
     }
 
     /// A point in words, without the value at a place.
-    pub(super) fn words(&self, point: &[f64], without: Option<usize>) -> String {
+    pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
         let each = self.figures.stated().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
         let words =
             each.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.words(), figure.unit));
@@ -202,6 +209,6 @@ impl TestSpec {
 }
 
 /// A point with another value at a place.
-pub(super) fn moved(point: &[f64], place: usize, value: f64) -> Vec<f64> {
+pub(super) fn with_value(point: &[f64], place: usize, value: f64) -> Vec<f64> {
     point.iter().enumerate().map(|(at, &old)| if at == place { value } else { old }).collect()
 }

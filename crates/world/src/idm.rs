@@ -4,7 +4,7 @@ use crate::observation::Observation;
 use crate::settings::settings;
 
 /// A gap below this counts as this, in metres: the model divides by the gap, and an estimated one can be negative.
-const LEAST_GAP_M: f64 = 0.01;
+const MIN_GAP_M: f64 = 0.01;
 
 settings! {
     /// Settings of the Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), eq. 3 and 4).
@@ -35,13 +35,13 @@ pub struct Idm {
 
 impl Idm {
     /// What the model consists of, for those who drive many at once and keep each number in an array.
-    pub(crate) fn numbers(&self) -> [f64; 5] {
+    pub(crate) fn to_array(&self) -> [f64; 5] {
         [self.desired_speed_mps, self.time_headway_s, self.standstill_gap_m, self.accel_mps2, self.twice_mean_mps2]
     }
 
     /// The model with given [`numbers`](Self::numbers).
     #[inline(always)]
-    pub(crate) fn of_numbers(numbers: [f64; 5]) -> Self {
+    pub(crate) fn from_array(numbers: [f64; 5]) -> Self {
         let [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2] = numbers;
         Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, twice_mean_mps2 }
     }
@@ -60,7 +60,7 @@ impl Idm {
     fn interaction(&self, speed_mps: f64, [gap_m, ahead_mps]: [f64; 2]) -> f64 {
         let closing_mps = speed_mps - ahead_mps;
         let dynamic_m = speed_mps * self.time_headway_s + speed_mps * closing_mps / self.twice_mean_mps2;
-        let share = (self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(LEAST_GAP_M);
+        let share = (self.standstill_gap_m + dynamic_m.max(0.0)) / gap_m.max(MIN_GAP_M);
         share * share
     }
 
@@ -74,7 +74,7 @@ impl Idm {
 impl Idm {
     /// The acceleration wanted, in m/s².
     #[inline]
-    pub(crate) fn wanted_mps2(&self, seen: &Observation) -> f64 {
+    pub(crate) fn desired_acceleration_mps2(&self, seen: &Observation) -> f64 {
         self.acceleration_mps2(seen.speed_mps, seen.ahead.map(|ahead| [ahead.gap_m, ahead.speed_mps]))
     }
 }

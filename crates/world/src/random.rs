@@ -27,15 +27,15 @@ pub enum Purpose {
     /// Noise and dropout of the sensor that looks behind.
     GapBehindSensor = 4,
     /// Error of a filter's first estimate.
-    FirstEstimate = 5,
+    InitialEstimate = 5,
     /// One draw from a distribution of scenarios.
-    ScenarioDraw = 6,
+    ScenarioSampling = 6,
     /// First weights of a network, one consumer a network.
-    FirstWeights = 7,
+    InitialWeights = 7,
     /// Actions tried out in training, one consumer an episode.
     Exploration = 8,
     /// Draws from replay memory, one consumer an episode.
-    ReplayDraw = 9,
+    ReplaySampling = 9,
     /// Noise on target actions, one consumer an episode.
     TargetNoise = 10,
     /// Proposals of a search method; the index tells methods of one search apart.
@@ -49,7 +49,7 @@ pub enum Purpose {
     /// Resamples of what was observed, one consumer a resample.
     Resampling = 15,
     /// Which later runs of a process are asked twice, one consumer a run.
-    AskedTwice = 16,
+    DeterminismCheck = 16,
 }
 
 /// The stream for `purpose`, for the `index`-th consumer of its kind (a vehicle, a draw), under `seed`.
@@ -73,18 +73,18 @@ pub fn derived_seed(seed: u64, index: u64) -> u64 {
 /// that is done here; the rest is left to the library, which starts again from where the stream was. That way the
 /// stream's state stays in registers, since nothing takes its address.
 #[derive(Debug, Clone, Copy)]
-pub struct Normals {
+pub struct NormalSampler {
     /// The half width of each layer, widest first, and 0.
     half_widths: &'static [f64; 257],
 }
 
-impl Default for Normals {
+impl Default for NormalSampler {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Normals {
+impl NormalSampler {
     /// The table is made once a process.
     #[must_use]
     pub fn new() -> Self {
@@ -92,7 +92,7 @@ impl Normals {
         /// middle of layer `i` is told it.
         static HALF_WIDTHS: LazyLock<[f64; 257]> = LazyLock::new(|| {
             std::array::from_fn(|layer| {
-                let middle: f64 = StandardNormal.sample(&mut Dictated { number: layer as u64 | 3 << 62 });
+                let middle: f64 = StandardNormal.sample(&mut ScriptedRng { number: layer as u64 | 3 << 62 });
                 if layer < 256 { 2.0 * middle } else { 0.0 }
             })
         });
@@ -101,7 +101,7 @@ impl Normals {
 
     /// The next number of `stream`.
     #[inline(always)]
-    pub fn next(self, stream: &mut Stream) -> f64 {
+    pub fn sample(self, stream: &mut Stream) -> f64 {
         let mut after = stream.clone();
         let bits = after.next_u64();
         let layer = bits as usize & 0xff;
@@ -112,7 +112,7 @@ impl Normals {
             *stream = after;
             return normal;
         }
-        let (normal, after) = from_library(stream.clone());
+        let (normal, after) = sample_from_library(stream.clone());
         *stream = after;
         normal
     }
@@ -122,16 +122,16 @@ impl Normals {
 /// keep what they work with in registers.
 #[cold]
 #[inline(never)]
-fn from_library(mut stream: Stream) -> (f64, Stream) {
+fn sample_from_library(mut stream: Stream) -> (f64, Stream) {
     (StandardNormal.sample(&mut stream), stream)
 }
 
 /// A generator that says the same number first, and then the largest there is.
-struct Dictated {
+struct ScriptedRng {
     number: u64,
 }
 
-impl TryRng for Dictated {
+impl TryRng for ScriptedRng {
     type Error = Infallible;
 
     fn try_next_u32(&mut self) -> Result<u32, Infallible> {
@@ -169,7 +169,7 @@ mod tests {
         let mut furthest = 0.0_f64;
         for _ in 0..2_000_000 {
             let expected: f64 = StandardNormal.sample(&mut theirs);
-            assert_eq!(Normals::new().next(&mut ours).to_bits(), expected.to_bits());
+            assert_eq!(NormalSampler::new().next(&mut ours).to_bits(), expected.to_bits());
             furthest = furthest.max(expected.abs());
         }
         assert_eq!(ours, theirs);

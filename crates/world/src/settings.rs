@@ -5,16 +5,16 @@ use serde::de::DeserializeOwned;
 
 /// One number of a controller's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Field {
+pub struct SettingField {
     /// Its name, with its unit.
     pub name: &'static str,
     /// The least and the largest value there may be.
     pub range: [f64; 2],
     /// The values that make sense on a road, for searches and fuzzers.
-    pub usual: [f64; 2],
+    pub typical_range: [f64; 2],
 }
 
-impl Field {
+impl SettingField {
     /// Its unit, as its name ends.
     #[must_use]
     pub fn unit(&self) -> &'static str {
@@ -25,9 +25,9 @@ impl Field {
 }
 
 /// The numbers that decide how a controller drives.
-pub trait Settings: Clone + PartialEq + Default + Serialize + DeserializeOwned {
+pub trait ControllerSettings: Clone + PartialEq + Default + Serialize + DeserializeOwned {
     /// Its numbers, in the order in which files state them.
-    const FIELDS: &'static [Field];
+    const FIELDS: &'static [SettingField];
 
     /// The value of the `index`-th of [`Self::FIELDS`].
     fn get(&self, index: usize) -> Option<f64>;
@@ -55,9 +55,9 @@ macro_rules! settings {
             }
         }
 
-        impl $crate::settings::Settings for $name {
-            const FIELDS: &'static [$crate::settings::Field] = &[
-                $($crate::settings::Field { name: stringify!($field), range: [$low, $high], usual: [$from, $to] },)*
+        impl $crate::settings::ControllerSettings for $name {
+            const FIELDS: &'static [$crate::settings::SettingField] = &[
+                $($crate::settings::SettingField { name: stringify!($field), range: [$low, $high], typical_range: [$from, $to] },)*
             ];
 
             fn get(&self, index: usize) -> Option<f64> {

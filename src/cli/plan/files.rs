@@ -10,11 +10,11 @@ use crate::cli::Failure;
 use crumple_core::digits;
 use crumple_core::quoted::ShellWord;
 use crumple_store::disk::{self, Files};
-use crumple_store::jobs::{Engine, Jobs, TASK};
+use crumple_store::jobs::{Engine, Jobs, TASK_SCRIPT};
 
 /// The file `plan.json`.
 #[derive(Serialize)]
-pub(super) struct Planned {
+pub(super) struct PlanSummary {
     pub(super) version: u32,
     #[serde(flatten)]
     pub(super) wanted: Wanted,
@@ -39,14 +39,14 @@ impl Plan {
     }
 
     /// The folder as commands name it: never one that looks like an option.
-    fn folder(&self) -> Result<String, Failure> {
+    fn folder_argument(&self) -> Result<String, Failure> {
         let name = || format!("--out: {} is not text, and job files are", self.out.display());
         let folder = self.out.to_str().ok_or_else(|| Failure::Input(name()))?;
         Ok(if folder.starts_with('-') { format!("./{folder}") } else { folder.to_owned() })
     }
 
     /// Whether nothing is there that would be written over, or mixed with.
-    pub(super) fn is_free(&self) -> Result<(), Failure> {
+    pub(super) fn check_out_folder(&self) -> Result<(), Failure> {
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
             true => {
@@ -58,7 +58,7 @@ impl Plan {
     }
 
     /// Writes it.
-    pub(super) fn write(&self, planned: &Planned, words: Vec<String>) -> Result<(), Failure> {
+    pub(super) fn write(&self, planned: &PlanSummary, words: Vec<String>) -> Result<(), Failure> {
         let jobs = Jobs {
             words,
             shards: planned.shards,
@@ -71,7 +71,7 @@ impl Plan {
         let mut files = Files::default();
         let mut stage = |name: &str, text: String| files.stage(&self.out.join(name), text);
         stage("plan.json", serde_json::to_string_pretty(planned).map_err(Failure::input)? + "\n")?;
-        stage(TASK, jobs.task())?;
+        stage(TASK_SCRIPT, jobs.task())?;
         for engine in self.engines() {
             let (name, text) = jobs.file(engine);
             stage(name, text)?;
@@ -80,8 +80,8 @@ impl Plan {
     }
 
     /// What a reader is told.
-    pub(super) fn told(&self, planned: &Planned) -> Result<String, Failure> {
-        let Planned { shards, cores_of_a_shard, .. } = planned;
+    pub(super) fn summary(&self, planned: &PlanSummary) -> Result<String, Failure> {
+        let PlanSummary { shards, cores_of_a_shard, .. } = planned;
         let folder = self.folder()?;
         let word = |rest: &str| ShellWord(&format!("{folder}/{rest}")).to_string();
         let (first, last, whole) = match &planned.wanted {

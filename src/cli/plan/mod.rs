@@ -39,12 +39,12 @@ Examples:
   crumple plan --controller shield:policy --estimator truth --rate-below 1e-6 --out campaign
   crumple plan --controller policy --runs 10000000 --shards 64 --engine slurm --out campaign
   crumple plan --controller policy --space high-risk --budget 1000000 --out search")]
-pub(super) struct Plan {
+pub(super) struct PlanCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
-    #[arg(long, value_name = "C", value_parser = subject::controller)]
+    #[arg(long, value_name = "C", value_parser = args::controller)]
     controller: NamedController,
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
-    #[arg(long, value_name = "S", default_value = "paper", value_parser = subject::space)]
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::space)]
     space: (String, Space),
     /// What is to be shown: that it fails at a rate of at most this, above 0 and below 1
     #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
@@ -74,7 +74,7 @@ pub(super) struct Plan {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// What the vehicles under test look through
-    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = choice::one_of(choice::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// Number of shards, 1 to 10 000 and at most that of blocks of runs [default: of --minutes each]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -119,7 +119,7 @@ impl EngineName {
     }
 }
 
-impl Plan {
+impl PlanCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
         self.is_free()?;
         let (wanted, command, measure) = match self.budget {

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::Plan;
 use crate::cli::{Failure, output, subject};
-use crumple_evidence::{CannotPlan, RateConfig, RatePlan, runs_for};
+use crumple_evidence::{SampleSizeError, RateConfig, RatePlan, runs_for};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::Shard;
@@ -15,7 +15,7 @@ use crumple_world::control::is_external_allowed;
 /// What is planned, as it stands in `plan.json`.
 #[derive(Serialize)]
 #[serde(untagged)]
-pub(super) enum Wanted {
+pub(super) enum PlannedWork {
     Rate {
         registration_sha256: String,
         runs: u64,
@@ -34,28 +34,28 @@ pub(super) enum Wanted {
 }
 
 /// What work takes, whatever it is.
-pub(super) struct Measure {
+pub(super) struct WorkEstimate {
     pub(super) runs: u64,
     /// Of them in a second on one core.
-    pub(super) pace: f64,
-    pub(super) most_shards: u32,
+    pub(super) runs_per_second: f64,
+    pub(super) max_shards: u32,
     /// That so many shards leave behind.
-    pub(super) bytes: Box<dyn Fn(u32) -> u64>,
+    pub(super) bytes_of_shards: Box<dyn Fn(u32) -> u64>,
 }
 
 /// How long the pace is measured.
-const MEASURED: Duration = Duration::from_secs(2);
+const PACE_DURATION: Duration = Duration::from_secs(2);
 /// What keeps draws of the measurement apart from those that are counted.
-const OTHER_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+const PACE_SEED_MASK: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Plan {
     /// A count.
-    pub(super) fn rate(&self, quiet: bool) -> Result<(Wanted, Vec<String>, Measure), Failure> {
+    pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedWork, Vec<String>, Measure), Failure> {
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
             (None, rate) => {
                 let named = |error| match error {
-                    CannotPlan::Confidence { .. } => Failure::Input(format!("--{error}")),
+                    SampleSizeError::Confidence { .. } => Failure::Input(format!("--{error}")),
                     _ => Failure::Input(format!("--rate-below: {error}")),
                 };
                 runs_for(rate.unwrap_or_default(), self.confidence, self.failures).map_err(named)?
@@ -63,11 +63,11 @@ impl Plan {
         };
         let plan = self.count(self.seed, runs)?;
         if let Some(shards) = self.shards {
-            plan.blocks_of(Shard::new(shards, shards).map_err(Failure::input)?).map_err(Failure::input)?;
+            plan.shard_blocks(Shard::new(shards, shards).map_err(Failure::input)?).map_err(Failure::input)?;
         }
         output::note("measuring the pace", quiet);
-        let pace = self.count(self.seed ^ OTHER_SEED, runs.min(100_000))?.pace(MEASURED).map_err(Failure::input)?;
-        let wanted = Wanted::Rate {
+        let pace = self.count(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?.pace(PACE_DURATION).map_err(Failure::input)?;
+        let wanted = PlannedWork::Rate {
             registration_sha256: plan.registration().digest(),
             runs,
             confidence: self.confidence,
@@ -79,12 +79,12 @@ impl Plan {
         let (resamples, runs_each) = plan.resampling().unwrap_or_default();
         let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
         let measure =
-            Measure { runs: runs_made, pace, most_shards, bytes: Box::new(move |shards| plan.bytes_of(shards)) };
+            Measure { runs: runs_made, pace, most_shards, bytes: Box::new(move |shards| plan.estimated_bytes(shards)) };
         Ok((wanted, self.command(runs), measure))
     }
 
     /// A search.
-    pub(super) fn search(&self, budget: u64, quiet: bool) -> Result<(Wanted, Vec<String>, Measure), Failure> {
+    pub(super) fn plan_search(&self, budget: u64, quiet: bool) -> Result<(PlannedWork, Vec<String>, Measure), Failure> {
         if self.seed > i64::MAX as u64 {
             return Err(Failure::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
         }
@@ -94,7 +94,7 @@ impl Plan {
         }
         let space = &self.space.1;
         let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification = subject::specification(&self.spec, &nominal, quiet)?;
+        let specification = args::specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             estimator: self.estimator,
             specification,
@@ -109,8 +109,8 @@ impl Plan {
             last.range(budget, "evaluations of each method").map_err(Failure::input)?;
         }
         output::note("measuring the pace", quiet);
-        let elsewhere = Campaign { seed: (self.seed ^ OTHER_SEED) & i64::MAX as u64, ..campaign.clone() };
-        let pace = elsewhere.pace(MEASURED)?;
+        let elsewhere = Campaign { seed: (self.seed ^ PACE_SEED_MASK) & i64::MAX as u64, ..campaign.clone() };
+        let pace = elsewhere.pace(PACE_DURATION)?;
         let evaluations = budget.saturating_mul(campaign.methods().len() as u64);
         let mut words = self.words(&["falsify"]);
         words.extend([
@@ -119,13 +119,13 @@ impl Plan {
             format!("--budget={budget}"),
             format!("--spec={}", self.spec),
         ]);
-        let wanted = Wanted::Search { method: self.method.clone(), budget, evaluations };
+        let wanted = PlannedWork::Search { method: self.method.clone(), budget, evaluations };
         let most_shards = campaign.most_shards();
-        let bytes = Box::new(move |shards| campaign.bytes_of(shards));
+        let bytes = Box::new(move |shards| campaign.estimated_bytes(shards));
         Ok((wanted, words, Measure { runs: evaluations, pace, most_shards, bytes }))
     }
 
-    fn count(&self, seed: u64, runs: u64) -> Result<RatePlan, Failure> {
+    fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, Failure> {
         RatePlan::new(RateConfig {
             seed,
             estimator: self.estimator,
@@ -136,7 +136,7 @@ impl Plan {
     }
 
     /// The words that every command has.
-    fn words(&self, command: &[&str]) -> Vec<String> {
+    fn common_args(&self, command: &[&str]) -> Vec<String> {
         let mut words: Vec<String> = command.iter().map(|word| (*word).to_owned()).collect();
         if is_external_allowed() {
             words.push("--allow-external".to_owned());
@@ -151,7 +151,7 @@ impl Plan {
     }
 
     /// The words that make the whole of a count.
-    fn command(&self, runs: u64) -> Vec<String> {
+    fn rate_args(&self, runs: u64) -> Vec<String> {
         let mut words = self.words(&["verify", "rate"]);
         words.extend([format!("--runs={runs}"), format!("--confidence={}", self.confidence)]);
         words

@@ -7,7 +7,7 @@ use std::process::Stdio;
 use super::{assert_refused, code, command, crumple, folder, names_in, stderr, stdout};
 
 /// A valid scenario; every case of [`bad_scenarios_name_file_line_and_field`] changes one thing in it.
-const GOOD: &str = r#"version = 1
+const VALID_SCENARIO: &str = r#"version = 1
 name = "two cars"
 duration_s = 5.0
 
@@ -26,7 +26,7 @@ driver = "under-test"
 "#;
 
 /// The first line of standard error, once a command has failed with `expected` and printed no result.
-fn first_line(folder: &Path, arguments: &[&str], expected: i32) -> String {
+fn first_error_line(folder: &Path, arguments: &[&str], expected: i32) -> String {
     let output = crumple(folder, arguments);
     let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
     assert_eq!(code(&output), expected, "{arguments:?}: {first}");
@@ -76,7 +76,7 @@ fn bad_scenarios_name_file_line_and_field() {
         let text = GOOD.replacen(good, bad, 1);
         assert_ne!(text, GOOD, "{good} is there");
         fs::write(folder.path().join("bad.toml"), text).unwrap();
-        let first = first_line(folder.path(), &["simulate", "good.toml", "bad.toml", "--trace", "t.csv"], 2);
+        let first = first_error_line(folder.path(), &["simulate", "good.toml", "bad.toml", "--trace", "t.csv"], 2);
         assert!(first.starts_with(&format!("error: bad.toml:{expected}")), "{bad}: {first}");
     }
     assert_eq!(names_in(folder.path()), ["bad.toml", "good.toml"], "nothing written");
@@ -101,7 +101,7 @@ fn files_that_cannot_be_read_are_named() {
         ("notes.txt", "error: notes.txt: a scenario file ends in .toml or .json"),
     ];
     for (name, expected) in cases {
-        let first = first_line(folder.path(), &["simulate", name], 2);
+        let first = first_error_line(folder.path(), &["simulate", name], 2);
         assert!(first.starts_with(expected), "{name}: {first}");
     }
 }
@@ -154,7 +154,7 @@ fn arguments_that_make_no_sense_are_named() {
     ];
     let folder = folder();
     for (arguments, expected) in cases {
-        let first = first_line(folder.path(), arguments, 2);
+        let first = first_error_line(folder.path(), arguments, 2);
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
     }
     assert_eq!(names_in(folder.path()), [""; 0], "nothing written");
@@ -200,7 +200,7 @@ fn presets_that_cannot_be_used_are_named() {
     ];
     let cases = of_both.iter().flat_map(|case| [("train", *case), ("retrain", *case)]);
     for (command, (preset, expected)) in cases.chain(of_one) {
-        let first = first_line(folder.path(), &[command, "--preset", preset, "--out", "out"], 2);
+        let first = first_error_line(folder.path(), &[command, "--preset", preset, "--out", "out"], 2);
         assert!(first.starts_with(expected), "{command} {preset}: {first}");
         assert!(!folder.path().join("out").exists(), "{command} {preset}: nothing written");
     }
@@ -219,7 +219,7 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
         (&["simulate", "paper-1", "paper-2", "--trace", "t.csv"], "error: t-paper-2.csv: "),
     ];
     for (arguments, expected) in cases {
-        let first = first_line(folder.path(), arguments, 3);
+        let first = first_error_line(folder.path(), arguments, 3);
         assert!(first.starts_with(expected), "{arguments:?}: {first}");
         assert_eq!(names_in(folder.path()), ["file", "t-paper-2.csv"], "{arguments:?}");
     }

@@ -10,16 +10,16 @@ use std::path::Path;
 
 use super::{code, crumple, done, folder, objects, stderr, stdout};
 
-fn read(folder: &Path, name: &str) -> Certificate {
+fn read_certificate(folder: &Path, name: &str) -> Certificate {
     Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
 }
 
-fn write(folder: &Path, name: &str, certificate: &Certificate) {
+fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
     std::fs::write(folder.join(name), certificate.canonical()).unwrap();
 }
 
 /// 300 runs of idm that nobody fails in, in `DIR/certificate.json`.
-fn count(folder: &Path, out: &str, more: &[&str]) {
+fn write_idm_count(folder: &Path, out: &str, more: &[&str]) {
     let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
     done(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
 }

@@ -24,7 +24,7 @@ fn the_schema_of_maps_is_committed_and_says_what_the_examples_are() {
 }
 
 /// A pair of which the leader brakes as hard as is said, by the map of a logged pair.
-fn logged(brake_mps2: f64) -> String {
+fn logged_pair_csv(brake_mps2: f64) -> String {
     let mut text = "t;v_ego;range;closing\n".to_owned();
     for k in 0..150 {
         let lost_mps = brake_mps2 * (f64::from(k) * 0.1 - 5.0).clamp(0.0, 3.0);

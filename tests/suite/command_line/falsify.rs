@@ -16,7 +16,7 @@ use super::{
 use crumple_search::falsify::counterexample::ExpectedFile;
 
 /// Every file below a folder, by its path from there.
-fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+fn read_tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(next) = folders.pop() {
@@ -32,7 +32,7 @@ fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-pub(crate) fn assert_same(one: &Path, other: &Path) {
+pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
     let (one, other) = (tree(one), tree(other));
     assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
     for (path, bytes) in &one {
@@ -190,7 +190,7 @@ fn check_log(path: &Path) {
     assert_eq!(rows, 120);
 }
 
-const CAMPAIGN: [&str; 7] = ["falsify", "--controller", "match-leader", "--budget", "250", "--seed", "3"];
+const CAMPAIGN_ARGS: [&str; 7] = ["falsify", "--controller", "match-leader", "--budget", "250", "--seed", "3"];
 
 #[test]
 fn a_campaign_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {

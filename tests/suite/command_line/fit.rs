@@ -7,7 +7,7 @@ use super::*;
 use crumple_world::scenario::space::{Distribution, Space, Uniform, file};
 
 /// Events of ten seconds, in each of which the leader brakes once: how hard, from which speed and with which gap behind follows no family.
-fn events(count: u32) -> String {
+fn events_csv(count: u32) -> String {
     let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     for event in 0..count {
         let turn = |step: f64| (f64::from(event) * step).fract();

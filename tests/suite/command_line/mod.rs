@@ -26,12 +26,12 @@ use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
 /// Runs `crumple` in a folder.
-pub(crate) fn crumple(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn run_crumple(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().expect("starts")
 }
 
 /// Runs `crumple` in a folder, and asserts that it succeeds.
-fn done(folder: &Path, arguments: &[&str]) -> Output {
+fn run_ok(folder: &Path, arguments: &[&str]) -> Output {
     let output = crumple(folder, arguments);
     assert_eq!(code(&output), 0, "{}", stderr(&output));
     output
@@ -43,7 +43,7 @@ fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-pub(crate) fn code(output: &Output) -> i32 {
+pub(crate) fn exit_code(output: &Output) -> i32 {
     output.status.code().expect("not ended by a signal")
 }
 
@@ -62,15 +62,15 @@ fn assert_refused(output: &Output, said: &str) {
 }
 
 /// The objects `--format json` prints.
-fn objects(output: &Output) -> Vec<Value> {
+fn json_objects(output: &Output) -> Vec<Value> {
     stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
 }
 
-pub(crate) fn folder() -> tempfile::TempDir {
+pub(crate) fn temp_folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a place for temporary files")
 }
 
-fn names_in(folder: &Path) -> Vec<String> {
+fn file_names_in(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("readable");
     let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
@@ -78,11 +78,11 @@ fn names_in(folder: &Path) -> Vec<String> {
 }
 
 /// Writes a text of which each of some passages stands changed.
-fn write_changed(path: &Path, text: &str, changes: &[(&str, &str)]) {
+fn write_with_replacements(path: &Path, text: &str, changes: &[(&str, &str)]) {
     std::fs::write(path, crate::tiny::changed(text, changes)).expect("writable");
 }
 
-const PAPERS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
+const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
 /// One object a scenario and line, with the fields other programs rely on, and nothing else on either stream.
 #[test]
@@ -323,7 +323,7 @@ fn a_full_disk_under_standard_output_is_reported() {
 
 /// Starts a command once for each range and kills it after so many milliseconds, at random but the same each time; how many were
 /// still running then.
-pub(crate) fn killed_at_random(
+pub(crate) fn kill_at_random_times(
     folder: &Path,
     arguments: &[&str],
     after_ms: impl Iterator<Item = std::ops::Range<u64>>,

@@ -31,7 +31,7 @@ fn single_results_go_through_links_and_into_files_only() {
 }
 
 /// A line of vehicles under test behind a leader that brakes.
-fn line_of(vehicles: usize, duration_s: f64) -> String {
+fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
     let vehicle = |index: usize, driver: &str| {
         let position_m = 30.0 * (vehicles - index) as f64;
         format!("[[vehicles]]\nclass = \"light\"\nposition_m = {position_m}\nspeed_mps = 20.0\n{driver}\n")

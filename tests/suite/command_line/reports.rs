@@ -1,13 +1,13 @@
 //! `crumple assess` and `crumple import` as a user meets them.
 
-use crate::report::without_made;
+use crate::report::without_build_info;
 use std::fs;
 use std::path::Path;
 
 use super::{code, command, crumple, folder, names_in, stderr, stdout};
 
 /// A small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
-fn platoon() -> String {
+fn platoon_csv() -> String {
     let mut text = "Date,1,1,2026\nVehicle_order,A,B,\nNumber_of_vehicles,2\nACC,1\nDistance_setting,S\n".to_owned();
     text += "Time,Speed1,E1,N1,Lon1,Lat1,Alt1,Speed2,E2,N2,Lon2,Lat2,Alt2,IVS1\n";
     for sample in 0..150 {
@@ -53,7 +53,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     }
     for name in &written[..5] {
         let read = |folder_name: &str| {
-            without_made(name, &fs::read_to_string(folder.path().join(folder_name).join(name)).unwrap())
+            without_build_info(name, &fs::read_to_string(folder.path().join(folder_name).join(name)).unwrap())
         };
         assert_eq!(read("report-1"), read("report-2"), "{name} depends on the number of threads");
     }
@@ -92,7 +92,7 @@ fn gates_decide_and_evidence_is_kept() {
     assert!(stderr(&third).contains("pieces of evidence were there"), "{third:?}");
     let read = |report: &str| {
         let text = fs::read_to_string(folder.path().join(report).join("assessment.json")).unwrap();
-        without_made("assessment.json", &text)
+        without_build_info("assessment.json", &text)
     };
     assert_eq!(read("one"), read("two"));
 
@@ -115,7 +115,7 @@ fn gates_decide_and_evidence_is_kept() {
     assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
 }
 
-fn refused(folder: &Path, arguments: &[&str], expected: &str) {
+fn assert_refused_with(folder: &Path, arguments: &[&str], expected: &str) {
     let output = crumple(folder, arguments);
     let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
     assert_eq!(code(&output), 2, "{arguments:?}: {first}");

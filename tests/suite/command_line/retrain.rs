@@ -9,7 +9,7 @@ use super::falsify::assert_same;
 use super::{assert_refused, code, command, crumple, folder, killed_at_random, objects, stderr, stdout};
 use crate::tiny;
 
-const RETRAIN: [&str; 22] = [
+const RETRAIN_ARGS: [&str; 22] = [
     "retrain",
     "--preset",
     "tiny.toml",
@@ -34,11 +34,11 @@ const RETRAIN: [&str; 22] = [
     "--out",
 ];
 
-fn retrain<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+fn retrain_args<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&RETRAIN[..], &[out], more].concat()
 }
 
-fn sha256(path: &Path) -> String {
+fn file_sha256(path: &Path) -> String {
     crumple_core::digest::sha256(fs::read(path).unwrap())
 }
 

@@ -7,14 +7,14 @@ use crumple_core::digest::sha256;
 
 use super::{assert_refused, code, crumple, done, folder, names_in, objects, stderr, stdout};
 
-const COUNT: [&str; 7] =
+const COUNT_ARGS: [&str; 7] =
     ["verify", "rate", "--controller=idm", "--space=high-risk", "--estimator=truth", "--runs=900", "--confidence=0.9"];
 
-fn shard(folder: &Path, which: &str, out: &str) {
+fn run_shard(folder: &Path, which: &str, out: &str) {
     done(folder, &[&COUNT[..], &["--shard", which, "--out", out]].concat());
 }
 
-fn same_files(folder: &Path, one: &str, other: &str) {
+fn assert_same_files(folder: &Path, one: &str, other: &str) {
     for name in names_in(&folder.join(one)) {
         let read = |of: &str| fs::read(folder.join(of).join(&name)).unwrap();
         assert_eq!(read(one), read(other), "{name}");
@@ -42,7 +42,7 @@ fn shards_that_are_merged_are_the_count_of_one_machine_and_what_is_missing_is_sa
         let output = merge(&["s/c", "s/a", "s/b", "s/a"]);
         assert_eq!(code(&output), 0, "{}", stderr(&output));
         assert!(stdout(&output).contains("of 900 runs\nrate/certificate.json: accepted"), "{}", stdout(&output));
-        same_files(folder, "single", "rate");
+        assert_same_files(folder, "single", "rate");
     }
     assert_refused(&merge(&["s/a", "single"]), "single: a count, and what came before it is a shard of a count");
     assert_refused(&merge(&["s/a", "s/b", "--partial"]), "--partial: only of a search a part is of use");
@@ -93,10 +93,10 @@ fn shards_of_an_estimate_are_merged() {
     assert_eq!(objects(&output), [missing]);
     let output = crumple(folder, &["merge", "2", "1", "--out", "rare"]);
     assert_eq!((code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
-    same_files(folder, "single", "rare");
+    assert_same_files(folder, "single", "rare");
 }
 
-const SEARCH: [&str; 5] =
+const SEARCH_ARGS: [&str; 5] =
     ["falsify", "--controller=match-leader", "--estimator=truth", "--budget=60", "--method=halton"];
 
 /// Four files a shard; of a reference search the folder and the words of one machine, otherwise what is missing.
@@ -130,7 +130,7 @@ fn shards_of_a_search_are_one_campaign() {
             fs::read(folder.join("campaign").join(name)).unwrap()
         );
     }
-    same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
+    assert_same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
     // It is a campaign like any other, and a part is no whole one.
     let looked = crumple(folder, &["fsck", "campaign", "part"]);
     assert_eq!(code(&looked), 0);
@@ -163,7 +163,7 @@ fn shards_of_a_suite_say_what_one_machine_says() {
         fs::rename(folder.join("failures"), folder.join("single")).unwrap();
         let merged = crumple(folder, &["merge", "4", "2", "1", "3", "1", "--out=failures", "--format", format]);
         assert_eq!((code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
-        same_files(folder, "single", "failures");
+        assert_same_files(folder, "single", "failures");
         fs::remove_dir_all(folder.join("single")).unwrap();
     }
     let output = crumple(folder, &["merge", "1", "2", "4", "--out=x"]);
@@ -211,7 +211,7 @@ fn shards_of_an_assessment_are_its_evidence() {
     assert_eq!((&said["pieces"], &said["missing_shards"]), (&serde_json::json!(3), &serde_json::json!([1])), "{said}");
     assert!(said["is_of_this_build"] == true && said["missing"].as_array().unwrap().len() == 2, "{said}");
     done(folder, &["merge", "2", "1", "2", "--out=report"]);
-    same_files(folder, "single/evidence", "report/evidence");
+    assert_same_files(folder, "single/evidence", "report/evidence");
     let output = crumple(folder, &["assess", "a.toml", "--out=report"]);
     assert!(stderr(&output).contains("5 of 5 pieces of evidence were there"), "{}", stderr(&output));
     let report = |of: &str| {
@@ -252,7 +252,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
         );
     }
     for seed in 0..3 {
-        same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
+        assert_same_files(folder, &format!("single/seed-{seed}"), &format!("all/seed-{seed}"));
     }
     let output = crumple(folder, &["merge", "2", "--out=some", "--format=json"]);
     let said = &objects(&output)[0];
@@ -299,7 +299,7 @@ fn shards_of_trainings_are_put_together_with_their_results() {
 }
 
 /// A file and its manifest, written anew such that they fit together.
-fn rewritten(folder: &Path, name: &str, text: &str) {
+fn rewrite_with_manifest(folder: &Path, name: &str, text: &str) {
     fs::write(folder.join(name), text).unwrap();
     let path = folder.join("work.json");
     let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -385,7 +385,7 @@ fn what_a_plan_writes_makes_what_it_says() {
     let words: Vec<String> = serde_json::from_value(planned["command"].clone()).unwrap();
     let words: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
     assert_eq!(code(&crumple(folder, &[&words[..], &["--out", "single"]].concat())), 0);
-    same_files(folder, "single", "rate");
+    assert_same_files(folder, "single", "rate");
     for (more, said) in [
         ("--rate-below=0", "rate: must be above 0 and below 1"),
         ("--rate-below=1e-12", "would take more than 1000000000 runs"),
@@ -397,7 +397,7 @@ fn what_a_plan_writes_makes_what_it_says() {
 
 /// Packages that stand for the engines': they say what was asked of them, and that nobody is there.
 #[cfg(unix)]
-fn engines(folder: &Path) {
+fn write_engine_stubs(folder: &Path) {
     let write = |name: &str, text: &str| {
         let path = folder.join("packages").join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();

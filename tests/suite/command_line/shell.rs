@@ -6,7 +6,7 @@ use std::fs;
 use super::*;
 
 /// The subcommands that `--help` lists.
-fn listed(folder: &Path) -> BTreeSet<String> {
+fn listed_subcommands(folder: &Path) -> BTreeSet<String> {
     let help = crumple(folder, &["--help"]);
     let commands = stdout(&help).split("Commands:").nth(1).unwrap().split("Options:").next().unwrap().to_owned();
     let names = commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));

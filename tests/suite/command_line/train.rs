@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 use super::{assert_refused, code, crumple, done, folder, names_in, stderr, stdout, write_changed};
 use crate::tiny;
 
-const FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
+const SEED_FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
 
-fn files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
+fn read_seed_files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
     FILES.map(|name| fs::read(folder.join(out).join(format!("seed-{seed}")).join(name)).unwrap())
 }
 

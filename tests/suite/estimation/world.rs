@@ -20,7 +20,7 @@ impl WhiteJerk {
     const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
     /// A world, the tuning of a gap sensor's filter, and such a filter that has been running.
-    pub(super) fn observed(sensors: &Sensors, run: u64) -> (Tuning, Self, Filter) {
+    pub(super) fn with_filter(sensors: &Sensors, run: u64) -> (Tuning, Self, Filter) {
         let mut world = Self::new(sensors.gap_noise_m, run);
         let tuning = EgoTuning::new(Self::STEP_S, sensors).gap().clone();
         let normals = [0; 3].map(|_| world.normal());
@@ -61,7 +61,7 @@ impl WhiteJerk {
     }
 
     /// How far the filter's prediction of this instant is off.
-    pub(super) fn error_of_prediction(&self, tuning: &Tuning, filter: &Filter) -> [f64; 3] {
+    pub(super) fn prediction_error(&self, tuning: &Tuning, filter: &Filter) -> [f64; 3] {
         // Without a measurement the filter answers with its prediction.
         let predicted = filter.clone().update(tuning, None);
         (Vector3::new(predicted.distance_m, predicted.rate_mps, predicted.acceleration_mps2) - self.state).into()

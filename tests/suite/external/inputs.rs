@@ -12,10 +12,10 @@ use crate::command_line::{code, crumple, folder};
 use crate::fmus::{archive, member};
 
 /// The file that the program makes when it starts.
-pub(super) const MARKER: &str = "started";
+pub(super) const MARKER_FILE: &str = "started";
 
 /// The program as a command, with as many letters as `evil.toml` has.
-pub(super) const EXEC: &str = "exec:./ev";
+pub(super) const EXEC_CONTROLLER: &str = "exec:./ev";
 
 /// A controller that keeps accelerating.
 const PROGRAM: &str = r#"#!/bin/sh
@@ -60,7 +60,7 @@ figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
 /// A space around a scenario.
-pub(super) fn space(name: &str, base: &str) -> String {
+pub(super) fn space_toml(name: &str, base: &str) -> String {
     format!(
         "version = 1\nname = \"{name}\"\nbase = \"{base}\"\n\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\n\
          unit = \"m\"\ndistribution.uniform = {{ low = 15.0, high = 40.0 }}\n"
@@ -68,7 +68,7 @@ pub(super) fn space(name: &str, base: &str) -> String {
 }
 
 /// A configuration of a short assessment.
-pub(super) fn assessed(controllers: &str, more: &str) -> String {
+pub(super) fn assessment_toml(controllers: &str, more: &str) -> String {
     format!(
         "version = 1\npaper = false\n{controllers}\n{more}\ndistributions = [\"plain.toml\"]\ndraws = 4\neveryday_draws = 1\n\
          certificates = []\nsearch = {{ spaces = [\"plain.toml\"], budget = 4 }}\nrates = {{ runs = 0 }}\n"
@@ -76,25 +76,25 @@ pub(super) fn assessed(controllers: &str, more: &str) -> String {
 }
 
 /// Output of a command.
-pub(super) struct Said {
+pub(super) struct CommandOutput {
     pub(super) code: i32,
-    pub(super) text: String,
-    pub(super) error: String,
+    pub(super) stdout: String,
+    pub(super) stderr: String,
 }
 
 /// A folder with the files.
-pub(super) struct Inputs {
+pub(super) struct InputFolder {
     folder: TempDir,
 }
 
 /// Folders and files that commands may write; removed before each command.
 const OUTPUTS: [&str; 3] = ["o", "o.toml", "pages"];
 
-impl Inputs {
+impl InputFolder {
     pub(super) fn new() -> Self {
         let inputs = Self { folder: folder() };
         inputs.write_files();
-        inputs.make_work();
+        inputs.make_run_folders();
         assert!(inputs.has_started(), "the work was made with the program");
         inputs
     }
@@ -116,7 +116,7 @@ impl Inputs {
 
     /// Returns true if the program has started since the last call.
     pub(super) fn has_started(&self) -> bool {
-        fs::remove_file(self.folder().join(MARKER)).is_ok()
+        fs::remove_file(self.folder().join(MARKER_FILE)).is_ok()
     }
 
     fn write(&self, name: &str, contents: impl AsRef<[u8]>) {
@@ -150,7 +150,7 @@ impl Inputs {
     }
 
     /// A campaign, a certificate and shards, made with permission.
-    fn make_work(&self) {
+    fn make_run_folders(&self) {
         let search = ["falsify", "--controller", "idm", "--space", "space.toml", "--budget", "2", "--allow-external"];
         let count =
             ["verify", "rate", "--controller", "idm", "--space", "space.toml", "--runs", "2", "--allow-external"];
@@ -181,7 +181,7 @@ impl Inputs {
 }
 
 /// Writes the hashes of a folder's files into its manifest, as an attacker would. The files keep their lengths.
-fn rehash(folder: &Path) {
+fn rehash_manifest(folder: &Path) {
     let path = folder.join("work.json");
     let mut text = fs::read_to_string(&path).unwrap();
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -8,13 +8,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use crate::command_line::{code, crumple, folder};
-use inputs::{EXEC, Inputs, MARKER};
+use inputs::{EXEC, Inputs, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
 
 /// Result without the option, and with it.
 #[derive(Clone, Copy)]
-enum Expected {
+enum StartExpectation {
     /// Exit code 2, and an error that names the option and this place. With the option the program starts.
     RefusedOrStarts(&'static str),
     /// As before. With the option the command takes too long for a test, or reads the program's name and starts nothing.
@@ -23,10 +23,10 @@ enum Expected {
     StartsNothing,
 }
 
-use Expected::{Refused, RefusedOrStarts, StartsNothing};
+use StartExpectation::{Refused, RefusedOrStarts, StartsNothing};
 
 /// Subcommand, arguments, result. Every subcommand of `crumple --help` has a row.
-const TABLE: &[(&str, &[&str], Expected)] = &[
+const CASES: &[(&str, &[&str], StartExpectation)] = &[
     ("assess", &["scenarios.toml", "--out", "o"], Refused("driven.toml:")),
     ("assess", &["spaces.toml", "--out", "o"], Refused("spaces.toml:")),
     ("simulate", &["driven.toml"], RefusedOrStarts("vehicles[2].driver.file.path: ")),
@@ -219,7 +219,7 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     let author = ["-c", "user.name=a", "-c", "user.email=a@b"];
     assert!(git(&["add", "a.toml"]) && git(&[&author[..], &["commit", "--quiet", "-m", "a"]].concat()));
     fs::write(folder.path().join(".gitattributes"), "*.toml filter=evil\n").unwrap();
-    let marker = format!("touch {}", folder.path().join(MARKER).display());
+    let marker = format!("touch {}", folder.path().join(MARKER_FILE).display());
     assert!(git(&["config", "filter.evil.clean", &format!("{marker}; cat")]));
     assert!(git(&["config", "core.fsmonitor", &marker]));
     // A later time stamp, so that git compares contents.
@@ -227,7 +227,7 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     let starts_nothing = || {
         let assessed = crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
         assert!(code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
-        assert!(!folder.path().join(MARKER).exists());
+        assert!(!folder.path().join(MARKER_FILE).exists());
     };
     starts_nothing();
     // Git runs this hook when it refreshes the index, which it does if a time stamp alone has changed.

@@ -15,10 +15,10 @@ use crate::damage::{assert_same, files, scratch};
 use crate::tiny;
 
 /// Calls that are tried in each way, unless `FAULTS` says otherwise.
-const TRIED: usize = 1;
+const DEFAULT_TRIED_CALLS: usize = 1;
 
 /// A command that keeps work in the folder `run`.
-struct Kept {
+struct ResumableCommand {
     arguments: &'static [&'static str],
     /// The preset it trains with.
     preset: Option<fn() -> String>,
@@ -87,11 +87,11 @@ const RETRAINING: Kept = Kept {
 };
 
 /// The files of a folder, by name.
-type Files = BTreeMap<String, Vec<u8>>;
+type FolderFiles = BTreeMap<String, Vec<u8>>;
 
 impl Kept {
     /// A folder in which it can be run.
-    fn place(&self) -> tempfile::TempDir {
+    fn new_folder(&self) -> tempfile::TempDir {
         let place = scratch();
         if let Some(preset) = self.preset {
             fs::write(place.path().join("tiny.toml"), tiny::forgetful(&preset())).unwrap();
@@ -107,7 +107,7 @@ impl Kept {
     }
 
     /// Goes on, and ends with the files of work that nothing happened to.
-    fn ends_well(&self, place: &Path, genuine: &Files, what: &str) {
+    fn assert_completes(&self, place: &Path, genuine: &FolderFiles, what: &str) {
         let ended = self.command(place).output().unwrap();
         // A gate may fail, as it does without faults.
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{what}: {}", said(&ended));
@@ -115,7 +115,7 @@ impl Kept {
     }
 
     /// The files it ends with, and the trace of what it did.
-    fn genuine(&self, shim: &Path) -> (Files, Vec<u8>) {
+    fn run_without_faults(&self, shim: &Path) -> (FolderFiles, Vec<u8>) {
         let place = self.place();
         let trace = place.path().join("trace");
         let ended = shimmed(&mut self.command(place.path()), shim, &place.path().join("run"))
@@ -129,16 +129,16 @@ impl Kept {
     }
 }
 
-fn said(output: &Output) -> String {
+fn describe_output(output: &Output) -> String {
     format!("{:?}: {}", output.status, String::from_utf8_lossy(&output.stderr))
 }
 
-fn shimmed<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> &'a mut Command {
+fn with_shim<'a>(command: &'a mut Command, shim: &Path, under: &Path) -> &'a mut Command {
     command.env("LD_PRELOAD", shim).env("FAULT_UNDER", under)
 }
 
 /// The library, built with the compiler that links Rust programs.
-fn shim(folder: &Path) -> PathBuf {
+fn build_shim(folder: &Path) -> PathBuf {
     let library = folder.join("shim.so");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/faults/shim.c");
     let built = Command::new("cc")
@@ -153,23 +153,23 @@ fn shim(folder: &Path) -> PathBuf {
 }
 
 /// Which of so many calls are tried: all, or some spread over them.
-fn tried(calls: usize, salt: usize) -> Vec<usize> {
+fn selected_calls(calls: usize, salt: usize) -> Vec<usize> {
     let number = |name| std::env::var(name).ok().and_then(|number| number.parse::<usize>().ok());
     if std::env::var("FAULTS").is_ok_and(|wanted| wanted == "all") {
         return (1..=calls).collect();
     }
-    let wanted = number("FAULTS").unwrap_or(TRIED).min(calls);
+    let wanted = number("FAULTS").unwrap_or(DEFAULT_TRIED_CALLS).min(calls);
     let from = number("FAULTS_SEED").unwrap_or_default().wrapping_add(salt).wrapping_mul(7919);
     (0..wanted).map(|place| 1 + (place * calls / wanted).wrapping_add(from) % calls).collect()
 }
 
-fn calls(trace: &[u8]) -> usize {
+fn call_count(trace: &[u8]) -> usize {
     let text = String::from_utf8_lossy(trace);
     text.trim_end().rsplit_once("calls ").unwrap().1.parse().unwrap()
 }
 
 /// A full disk, a disk that fails, and an end without warning, at any call.
-fn survives_faults(kept: &Kept) {
+fn assert_survives_faults(kept: &Kept) {
     let folder = tempfile::tempdir().unwrap();
     let shim = shim(folder.path());
     let (genuine, trace) = kept.genuine(&shim);
@@ -190,21 +190,21 @@ fn survives_faults(kept: &Kept) {
             if ended.status.code() == Some(3) {
                 assert!(said(&ended).contains("run"), "{what} names no file: {}", said(&ended));
             }
-            kept.ends_well(place.path(), &genuine, &what);
+            kept.assert_completes(place.path(), &genuine, &what);
         }
     }
 }
 
 /// The power goes at any call, and what had not been made to reach the disk is gone, or partly gone.
-fn survives_loss_of_power(kept: &Kept) {
+fn assert_survives_power_loss(kept: &Kept) {
     let folder = tempfile::tempdir().unwrap();
     let (genuine, trace) = kept.genuine(&shim(folder.path()));
     let changes = power::changes(&trace);
-    for (salt, loss) in power::Loss::ALL.into_iter().enumerate() {
+    for (salt, loss) in power::PowerLoss::ALL.into_iter().enumerate() {
         for at in tried(changes.len(), salt) {
             let place = kept.place();
-            power::disk_after(&changes[..at], loss).write_to(&place.path().join("run"));
-            kept.ends_well(
+            power::disk_after_power_loss(&changes[..at], loss).write_to(&place.path().join("run"));
+            kept.assert_completes(
                 place.path(),
                 &genuine,
                 &format!("power lost at change {at} of {}, {loss:?}", changes.len()),
@@ -215,30 +215,30 @@ fn survives_loss_of_power(kept: &Kept) {
 
 #[test]
 fn a_campaign_survives_faults_and_loss_of_power() {
-    survives_faults(&CAMPAIGN);
-    survives_loss_of_power(&CAMPAIGN);
+    assert_survives_faults(&CAMPAIGN);
+    assert_survives_power_loss(&CAMPAIGN);
 }
 
 #[test]
 fn a_count_survives_faults_and_loss_of_power() {
-    survives_faults(&COUNT);
-    survives_loss_of_power(&COUNT);
+    assert_survives_faults(&COUNT);
+    assert_survives_power_loss(&COUNT);
 }
 
 #[test]
 fn an_estimate_survives_faults_and_loss_of_power() {
-    survives_faults(&ESTIMATE);
-    survives_loss_of_power(&ESTIMATE);
+    assert_survives_faults(&ESTIMATE);
+    assert_survives_power_loss(&ESTIMATE);
 }
 
 #[test]
 fn a_training_survives_faults_and_loss_of_power() {
-    survives_faults(&TRAINING);
-    survives_loss_of_power(&TRAINING);
+    assert_survives_faults(&TRAINING);
+    assert_survives_power_loss(&TRAINING);
 }
 
 #[test]
 fn a_retraining_survives_faults_and_loss_of_power() {
-    survives_faults(&RETRAINING);
-    survives_loss_of_power(&RETRAINING);
+    assert_survives_faults(&RETRAINING);
+    assert_survives_power_loss(&RETRAINING);
 }

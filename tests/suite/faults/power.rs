@@ -6,7 +6,7 @@ use std::path::Path;
 
 /// One change, as the shim wrote it down.
 #[derive(Debug, Clone)]
-pub(super) enum Change {
+pub(super) enum DiskOperation {
     /// A file was opened, made if it was not there, emptied if so asked.
     Open {
         handle: u32,
@@ -25,7 +25,7 @@ pub(super) enum Change {
         offset: usize,
         bytes: Vec<u8>,
     },
-    Cut {
+    Truncate {
         handle: u32,
         length: usize,
     },
@@ -51,7 +51,7 @@ pub(super) enum Change {
 
 /// What of the changes that had not reached the disk is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Loss {
+pub(super) enum PowerLoss {
     /// Everything.
     Everything,
     /// Contents, but not names.
@@ -62,12 +62,12 @@ pub(super) enum Loss {
     Names,
 }
 
-impl Loss {
+impl PowerLoss {
     pub(super) const ALL: [Self; 4] = [Self::Everything, Self::Contents, Self::Zeros, Self::Names];
 }
 
 /// The changes in a trace, in order.
-pub(super) fn changes(trace: &[u8]) -> Vec<Change> {
+pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
     let (mut rest, mut changes) = (trace, Vec::new());
     while let Some(end) = rest.iter().position(|&byte| byte == b'\n') {
         let line = String::from_utf8(rest[..end].to_vec()).unwrap();
@@ -83,23 +83,23 @@ pub(super) fn changes(trace: &[u8]) -> Vec<Change> {
             "open" => {
                 let mut parts = arguments.splitn(3, ' ');
                 let mut next = || parts.next().unwrap();
-                Change::Open { handle: handle(next()), emptied: next() == "1", path: next().to_owned() }
+                DiskOperation::Open { handle: handle(next()), emptied: next() == "1", path: next().to_owned() }
             }
-            "reopen" => Change::Reopen { handle: handle(&two(' ').0), path: two(' ').1 },
-            "close" => Change::Close { handle: handle(arguments) },
+            "reopen" => DiskOperation::Reopen { handle: handle(&two(' ').0), path: two(' ').1 },
+            "close" => DiskOperation::Close { handle: handle(arguments) },
             "write" => {
                 let parts: Vec<_> = arguments.split(' ').collect();
                 let (offset, count) = (number(parts[1]), number(parts[2]));
                 let bytes = rest[..count].to_vec();
                 rest = &rest[count + 1..];
-                Change::Write { handle: handle(parts[0]), offset, bytes }
+                DiskOperation::Write { handle: handle(parts[0]), offset, bytes }
             }
-            "cut" => Change::Cut { handle: handle(&two(' ').0), length: number(&two(' ').1) },
-            "sync" => Change::Sync { handle: handle(arguments) },
-            "rename" => Change::Rename { from: two('\t').0, to: two('\t').1 },
-            "link" => Change::Link { from: two('\t').0, to: two('\t').1 },
-            "remove" => Change::Remove { path: arguments.to_owned() },
-            "folder" => Change::Folder { path: arguments.to_owned() },
+            "cut" => DiskOperation::Cut { handle: handle(&two(' ').0), length: number(&two(' ').1) },
+            "sync" => DiskOperation::Sync { handle: handle(arguments) },
+            "rename" => DiskOperation::Rename { from: two('\t').0, to: two('\t').1 },
+            "link" => DiskOperation::Link { from: two('\t').0, to: two('\t').1 },
+            "remove" => DiskOperation::Remove { path: arguments.to_owned() },
+            "folder" => DiskOperation::Folder { path: arguments.to_owned() },
             "calls" => break,
             other => panic!("{other}"),
         });
@@ -109,13 +109,13 @@ pub(super) fn changes(trace: &[u8]) -> Vec<Change> {
 
 /// A name's file, or folder.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Node {
+enum DiskNode {
     File(usize),
     Folder,
 }
 
 #[derive(Debug, Default, Clone)]
-struct Contents {
+struct DurableContents {
     now: Vec<u8>,
     durable: Vec<u8>,
 }
@@ -125,29 +125,29 @@ struct Contents {
 struct Disk {
     root: String,
     files: Vec<Contents>,
-    now: BTreeMap<String, Node>,
-    durable: BTreeMap<String, Node>,
+    now: BTreeMap<String, DiskNode>,
+    durable: BTreeMap<String, DiskNode>,
     handles: BTreeMap<u32, String>,
     /// Files that handles are of, whatever their names are now.
-    opened: BTreeMap<u32, usize>,
+    open_files: BTreeMap<u32, usize>,
 }
 
 /// What is left of a folder, by names in it; none for folders.
-pub(super) struct Left(BTreeMap<String, Option<Vec<u8>>>);
+pub(super) struct SurvivingFiles(BTreeMap<String, Option<Vec<u8>>>);
 
 /// The disk when the power comes back.
-pub(super) fn disk_after(changes: &[Change], loss: Loss) -> Left {
+pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) -> Left {
     let mut disk = Disk::default();
     for change in changes {
         disk.make(change);
     }
-    let names = if matches!(loss, Loss::Everything | Loss::Names) { &disk.durable } else { &disk.now };
+    let names = if matches!(loss, PowerLoss::Everything | PowerLoss::Names) { &disk.durable } else { &disk.now };
     let contents = |file: usize| {
         let Contents { now, durable } = &disk.files[file];
         match loss {
-            Loss::Everything | Loss::Contents => durable.clone(),
-            Loss::Names => now.clone(),
-            Loss::Zeros => {
+            PowerLoss::Everything | PowerLoss::Contents => durable.clone(),
+            PowerLoss::Names => now.clone(),
+            PowerLoss::Zeros => {
                 let mut bytes = durable.clone();
                 bytes.resize(now.len(), 0);
                 bytes
@@ -157,29 +157,29 @@ pub(super) fn disk_after(changes: &[Change], loss: Loss) -> Left {
     let left = names.iter().filter(|(path, _)| **path != disk.root).map(|(path, node)| {
         let name = path.strip_prefix(&disk.root).unwrap().trim_start_matches('/').to_owned();
         match node {
-            Node::File(file) => (name, Some(contents(*file))),
-            Node::Folder => (name, None),
+            DiskNode::File(file) => (name, Some(contents(*file))),
+            DiskNode::Folder => (name, None),
         }
     });
     Left(left.collect())
 }
 
 impl Disk {
-    fn make(&mut self, change: &Change) {
+    fn apply(&mut self, change: &DiskOperation) {
         match change {
-            Change::Folder { path } => {
+            DiskOperation::Folder { path } => {
                 if self.root.is_empty() {
                     self.root.clone_from(path);
-                    self.durable.insert(path.clone(), Node::Folder);
+                    self.durable.insert(path.clone(), DiskNode::Folder);
                 }
-                self.now.insert(path.clone(), Node::Folder);
+                self.now.insert(path.clone(), DiskNode::Folder);
             }
-            Change::Open { handle, emptied, path } => {
+            DiskOperation::Open { handle, emptied, path } => {
                 let file = match self.now.get(path) {
-                    Some(Node::File(file)) => *file,
+                    Some(DiskNode::File(file)) => *file,
                     _ => {
                         self.files.push(Contents::default());
-                        self.now.insert(path.clone(), Node::File(self.files.len() - 1));
+                        self.now.insert(path.clone(), DiskNode::File(self.files.len() - 1));
                         self.files.len() - 1
                     }
                 };
@@ -189,35 +189,35 @@ impl Disk {
                 self.handles.insert(*handle, path.clone());
                 self.opened.insert(*handle, file);
             }
-            Change::Reopen { handle, path } => {
+            DiskOperation::Reopen { handle, path } => {
                 self.handles.insert(*handle, path.clone());
                 match self.now.get(path) {
-                    Some(Node::File(file)) => self.opened.insert(*handle, *file),
+                    Some(DiskNode::File(file)) => self.opened.insert(*handle, *file),
                     _ => self.opened.remove(handle),
                 };
             }
-            Change::Close { handle } => {
+            DiskOperation::Close { handle } => {
                 self.handles.remove(handle);
                 self.opened.remove(handle);
             }
-            Change::Write { handle, offset, bytes } => {
+            DiskOperation::Write { handle, offset, bytes } => {
                 let now = &mut self.files[self.opened[handle]].now;
                 now.resize(now.len().max(offset + bytes.len()), 0);
                 now[*offset..offset + bytes.len()].copy_from_slice(bytes);
             }
-            Change::Cut { handle, length } => self.files[self.opened[handle]].now.resize(*length, 0),
-            Change::Sync { handle } => match self.opened.get(handle) {
+            DiskOperation::Cut { handle, length } => self.files[self.opened[handle]].now.resize(*length, 0),
+            DiskOperation::Sync { handle } => match self.opened.get(handle) {
                 Some(&file) => self.files[file].durable = self.files[file].now.clone(),
                 None => self.sync_names(&self.handles[handle].clone()),
             },
-            Change::Rename { from, to } => {
+            DiskOperation::Rename { from, to } => {
                 let node = self.now.remove(from).unwrap();
                 self.now.insert(to.clone(), node);
             }
-            Change::Link { from, to } => {
+            DiskOperation::Link { from, to } => {
                 self.now.insert(to.clone(), self.now[from]);
             }
-            Change::Remove { path } => {
+            DiskOperation::Remove { path } => {
                 self.now.remove(path);
             }
         }

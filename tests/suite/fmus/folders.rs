@@ -6,8 +6,8 @@ use std::process::{Child, Stdio};
 use super::*;
 
 /// A folder with `odd.fmu`, which has a resource, and an empty `temporary` beside it.
-fn with_resource(what: &str) -> Option<tempfile::TempDir> {
-    let place = with_odd(what)?;
+fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
+    let place = odd_fmu_folder(what)?;
     fs::create_dir(place.path().join("temporary")).unwrap();
     let library = compiled(place.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
@@ -18,12 +18,12 @@ fn with_resource(what: &str) -> Option<tempfile::TempDir> {
     Some(place)
 }
 
-fn unpacked(place: &Path) -> Vec<std::path::PathBuf> {
+fn unpacked_folders(place: &Path) -> Vec<std::path::PathBuf> {
     fs::read_dir(place.join("temporary")).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
 /// Starts the program that hosts FMUs, and waits until it has unpacked.
-fn host(place: &Path) -> Child {
+fn start_host(place: &Path) -> Child {
     let mut host = Command::new(env!("CARGO_BIN_EXE_crumple-fmu"))
         .args(["drive", "--input=speed", "--output=command", "odd.fmu"])
         .current_dir(place)
@@ -51,7 +51,7 @@ fn simulate_odd(place: &Path) -> std::process::Output {
 
 #[test]
 fn a_run_leaves_no_unpacked_folder_behind() {
-    let Some(place) = with_resource("NOTHING") else { return };
+    let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
     let ran = simulate_odd(place.path());
     assert_eq!(code(&ran), 0, "{}", String::from_utf8_lossy(&ran.stderr));
     assert_eq!(unpacked(place.path()), [] as [&Path; 0]);
@@ -59,7 +59,7 @@ fn a_run_leaves_no_unpacked_folder_behind() {
 
 #[test]
 fn what_killed_hosts_left_is_removed_at_the_next_start_and_what_is_in_use_is_not() {
-    let Some(place) = with_resource("NOTHING") else { return };
+    let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
     let mut killed = [host(place.path()), host(place.path())];
     let mut running = host(place.path());
     assert_eq!(unpacked(place.path()).len(), 3);
@@ -79,7 +79,7 @@ fn what_killed_hosts_left_is_removed_at_the_next_start_and_what_is_in_use_is_not
 /// A host that crashes cannot remove its folder; the next one does.
 #[test]
 fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
-    let Some(place) = with_resource("CRASH") else { return };
+    let Some(place) = odd_fmu_folder_with_resource("CRASH") else { return };
     for _ in 0..3 {
         let ran = simulate_odd(place.path());
         assert!(String::from_utf8_lossy(&ran.stdout).contains("CONTROLLER FAILED"));

@@ -26,7 +26,7 @@ const ODD: &str = include_str!("odd.c");
 const ODD_XML: &str = include_str!("odd.xml");
 
 /// Where the edition of the standard wants the library of this platform.
-pub(crate) fn member(edition: u32, name: &str) -> String {
+pub(crate) fn library_member(edition: u32, name: &str) -> String {
     let system = if cfg!(target_os = "macos") { "darwin" } else { std::env::consts::OS };
     let extension = if cfg!(target_os = "macos") { "dylib" } else { "so" };
     let folder = match edition {
@@ -37,7 +37,7 @@ pub(crate) fn member(edition: u32, name: &str) -> String {
 }
 
 /// A library of a C source; none where there is no compiler, with a message.
-fn compiled(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
+fn compile_library(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
     let (from, to) = (folder.join("source.c"), folder.join("library.so"));
     fs::write(&from, source).unwrap();
     let paths = ["-o", to.to_str().unwrap(), from.to_str().unwrap(), "-lm"];
@@ -52,7 +52,7 @@ fn compiled(folder: &Path, source: &str, what: &str) -> Option<Vec<u8>> {
     }
 }
 
-pub(crate) fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
+pub(crate) fn zip_archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
         archive.start_file(*name, SimpleFileOptions::default()).unwrap();
@@ -62,7 +62,7 @@ pub(crate) fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
 }
 
 /// A folder with the example as `follower.fmu`.
-fn with_example() -> Option<tempfile::TempDir> {
+fn example_fmu_folder() -> Option<tempfile::TempDir> {
     let folder = folder();
     let library = compiled(folder.path(), EXAMPLE, "-DEXAMPLE")?;
     let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&member(2, "follower"), &library)];
@@ -71,17 +71,17 @@ fn with_example() -> Option<tempfile::TempDir> {
 }
 
 /// A folder with the other one as `odd.fmu`, and its controller file.
-fn with_odd(what: &str) -> Option<tempfile::TempDir> {
+fn odd_fmu_folder(what: &str) -> Option<tempfile::TempDir> {
     let folder = folder();
     let library = compiled(folder.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", if what == "ONCE" { "\"true\"" } else { "\"false\"" });
     let members = [("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library)];
     fs::write(folder.path().join("odd.fmu"), archive(&members)).unwrap();
-    fs::write(folder.path().join("odd.toml"), WIRED).unwrap();
+    fs::write(folder.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     Some(folder)
 }
 
-const WIRED: &str = r#"version = 1
+const ODD_CONTROLLER: &str = r#"version = 1
 fmu = "odd.fmu"
 answer_within_s = 0.5
 parameters = { "set speed" = 30.0, lanes = 1 }
@@ -101,21 +101,21 @@ quantity = "relative_speed_ahead_mps"
 variable = "rate"
 "#;
 
-fn find(name: &str, folder: &Path) -> NamedController {
+fn find_controller(name: &str, folder: &Path) -> NamedController {
     NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
 
-fn draws(count: u64) -> Vec<Scenario> {
+fn draw_scenarios(count: u64) -> Vec<Scenario> {
     let space = built_in_space("high-risk").unwrap();
     (0..count).map(|index| space.draw(5, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
 }
 
-fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
@@ -125,27 +125,27 @@ fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simul
 /// engines.
 #[test]
 fn one_law_drives_alike_by_both_editions_and_without() {
-    let Some(example) = with_example() else { return };
+    let Some(example) = example_fmu_folder() else { return };
     let source = include_str!("../../../examples/controllers/follower.c");
     fs::write(example.path().join("process.c"), source).unwrap();
     let arguments = ["-O2", "-o", "process", "process.c", "-lm"];
     assert!(Command::new("cc").args(arguments).current_dir(example.path()).status().unwrap().success());
     let scenarios = draws(25);
-    let expected = in_lockstep(&find("exec:./process", example.path()).kind, &scenarios);
+    let expected = simulate_in_lockstep(&find("exec:./process", example.path()).kind, &scenarios);
     let by_fmi_2 = find("follower.fmu", example.path()).kind;
-    assert_eq!(in_lockstep(&by_fmi_2, &scenarios), expected);
+    assert_eq!(simulate_in_lockstep(&by_fmi_2, &scenarios), expected);
     assert_eq!(drive(&by_fmi_2, &scenarios[7]), expected[7]);
     for what in ["NOTHING", "ONCE", "PRINT", "WARN"] {
-        let odd = with_odd(what).unwrap();
-        assert_eq!(in_lockstep(&find("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
+        let odd = odd_fmu_folder(what).unwrap();
+        assert_eq!(simulate_in_lockstep(&find("odd.toml", odd.path()).kind, &scenarios), expected, "{what}");
     }
 }
 
 /// What an FMU integrates goes on by one decision interval a decision, from its initialization on: here a lag in closed form.
 #[test]
 fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
-    let Some(odd) = with_odd("LATER") else { return };
-    let text = WIRED.replace("fmu =", "decision_interval_s = 0.1\nfmu =");
+    let Some(odd) = odd_fmu_folder("LATER") else { return };
+    let text = ODD_CONTROLLER.replace("fmu =", "decision_interval_s = 0.1\nfmu =");
     fs::write(odd.path().join("odd.toml"), text).unwrap();
     let scenario = built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 2.0).unwrap();
     let controller = find("odd.toml", odd.path()).kind;
@@ -178,7 +178,7 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
         ("NO_INSTANCE", 0.0, "exit code 2", "the FMU gives no instance (fmi3InstantiateCoSimulation)"),
     ];
     for (what, time_s, why, last) in cases {
-        let Some(odd) = with_odd(what) else { return };
+        let Some(odd) = odd_fmu_folder(what) else { return };
         let failed = drive(&find("odd.toml", odd.path()).kind, &built_in("paper-1").unwrap()).outcome;
         let failed = failed.failed().unwrap_or_else(|| panic!("{what} drives on"));
         let said = failed.to_string();
@@ -190,7 +190,7 @@ fn whatever_an_fmu_does_wrong_ends_the_run() {
 /// Its file and what it is wired to, and not where it lies.
 #[test]
 fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
-    let Some(odd) = with_odd("NOTHING") else { return };
+    let Some(odd) = odd_fmu_folder("NOTHING") else { return };
     let identity = |folder: &Path| find("odd.toml", folder).kind.identity().expect("has one");
     let first = identity(odd.path());
     let elsewhere = folder();
@@ -198,7 +198,7 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
         fs::copy(odd.path().join(name), elsewhere.path().join(name)).unwrap();
     }
     assert_eq!(identity(elsewhere.path()), first);
-    fs::write(elsewhere.path().join("odd.toml"), WIRED.replace("= 30.0", "= 29.0")).unwrap();
+    fs::write(elsewhere.path().join("odd.toml"), ODD_CONTROLLER.replace("= 30.0", "= 29.0")).unwrap();
     assert_ne!(identity(elsewhere.path()), first);
     let search = ["falsify", "--controller", "odd.toml", "--budget", "2", "--out", "found", "--format", "json"];
     let found = crumple(odd.path(), &search);
@@ -207,7 +207,7 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
 
 #[test]
 fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
-    let Some(odd) = with_odd("NOTHING") else { return };
+    let Some(odd) = odd_fmu_folder("NOTHING") else { return };
     let cases = [
         (
             "\"speed\"",
@@ -230,7 +230,7 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
         ("odd.fmu", ".", "cannot be read: it is no ordinary file"),
     ];
     for (was, is, said) in cases {
-        fs::write(odd.path().join("odd.toml"), WIRED.replacen(was, is, 1)).unwrap();
+        fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
         let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();
         assert!(error.contains(said), "{error}\n  should say\n{said}");
     }
@@ -242,14 +242,14 @@ fn what_does_not_fit_an_fmu_is_refused_by_file_line_and_field() {
         .env("CRUMPLE_FMU", "/nowhere")
         .output()
         .unwrap();
-    fs::write(odd.path().join("odd.toml"), WIRED).unwrap();
+    fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     assert_eq!(code(&nobody), 2);
 }
 
 /// Each of 200 damaged ones: one clear error, exit code 2; and so for whatever else is in an archive.
 #[test]
 fn damaged_fmus_are_refused() {
-    let Some(example) = with_example() else { return };
+    let Some(example) = example_fmu_folder() else { return };
     let path = example.path().join("follower.fmu");
     let whole = fs::read(&path).unwrap();
     let refused = |what: &str| match NamedController::find_for_user("follower.fmu", example.path()) {

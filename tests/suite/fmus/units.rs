@@ -13,10 +13,10 @@ const OTHER_UNITS: &str = r#"<UnitDefinitions>
   </UnitDefinitions>"#;
 
 /// Factors and offsets of gap, relative speed, speed, answer, time gap and set speed in [`OTHER_UNITS`].
-const TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3.6, 9.80665, 60, 1 / 3.6}, OFFSET[] = {0, 0, 0, 0, 0.25, 0};\n";
+const UNIT_TABLE: &str = "static const double FACTOR[] = {0.3048, 1 / 3.6, 1 / 3.6, 9.80665, 60, 1 / 3.6}, OFFSET[] = {0, 0, 0, 0, 0.25, 0};\n";
 
 /// The C source of an FMU that calculates in SI units inside and speaks other units outside. Its table begins at this reference.
-fn in_other_units(source: &str, first: u32) -> String {
+fn convert_units_in_source(source: &str, first: u32) -> String {
     let of = |table: &str| format!("(references[one] - {first} < 6u ? {table}[references[one] - {first}]");
     let (factor, offset) = (of("FACTOR") + " : 1.0)", of("OFFSET") + " : 0.0)");
     let source = source.replace("= values[one];", &format!("= values[one] * {factor} + {offset};"));
@@ -30,7 +30,7 @@ fn in_other_units(source: &str, first: u32) -> String {
 }
 
 /// The description of the example with other units; the set speed gets its unit from a declared type.
-fn other_xml() -> String {
+fn other_units_xml() -> String {
     let begin = EXAMPLE_XML.find("<UnitDefinitions>").unwrap();
     let end = EXAMPLE_XML.find("<ModelVariables>").unwrap();
     let types = "<TypeDefinitions><SimpleType name=\"Speed\"><Real unit=\"km/h\"/></SimpleType></TypeDefinitions>\n  ";
@@ -43,7 +43,7 @@ fn other_xml() -> String {
 }
 
 /// The same by FMI 3: `odd` with the units of [`OTHER_UNITS`].
-fn other_odd_xml() -> String {
+fn other_units_odd_xml() -> String {
     let types = "<TypeDefinitions><Float64Type name=\"Speed\" unit=\"km/h\"/></TypeDefinitions>";
     let text = ODD_XML.replace("\"ONCE\"", "\"false\"");
     let text = text.replace("  <ModelVariables>", &format!("  {OTHER_UNITS}\n  {types}\n  <ModelVariables>"));
@@ -72,14 +72,14 @@ fn largest_difference_m(one: &Simulated, other: &Simulated) -> f64 {
 
 #[test]
 fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
-    let Some(plain) = with_example() else { return };
+    let Some(plain) = example_fmu_folder() else { return };
     fs::write(plain.path().join("f.toml"), PARAMETERS).unwrap();
     let scenario = built_in("paper-1").unwrap();
     let expected = drive(&find("f.toml", plain.path()).kind, &scenario);
 
     let two = folder();
-    let library = compiled(two.path(), &in_other_units(EXAMPLE, 0), "-DEXAMPLE").unwrap();
-    let xml = other_xml();
+    let library = compiled(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
+    let xml = other_units_xml();
     let bytes = archive(&[("modelDescription.xml", xml.as_bytes()), (&member(2, "follower"), &library)]);
     fs::write(two.path().join("follower.fmu"), bytes).unwrap();
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
@@ -92,14 +92,14 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
     assert!(apart_m < 1e-9, "by names: {apart_m} m");
 
     let three = folder();
-    let library = compiled(three.path(), &in_other_units(ODD, 1), "-DWHAT=NOTHING").unwrap();
-    let xml = other_odd_xml();
+    let library = compiled(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
+    let xml = other_units_odd_xml();
     fs::write(
         three.path().join("odd.fmu"),
         archive(&[("modelDescription.xml", xml.as_bytes()), (&member(3, "odd"), &library)]),
     )
     .unwrap();
-    let text = WIRED.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
+    let text = ODD_CONTROLLER.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
     fs::write(three.path().join("odd.toml"), text).unwrap();
     let apart_m = largest_difference_m(&expected, &drive(&find("odd.toml", three.path()).kind, &scenario));
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
@@ -126,7 +126,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         )
     };
     let plain = wired("gap_ahead_m", "", "");
-    let with = |was: &str, is: &str| other_xml().replacen(was, is, 1);
+    let with = |was: &str, is: &str| other_units_xml().replacen(was, is, 1);
     let gap_in = |unit: &str| with("unit=\"ft\"", &format!("unit=\"{unit}\""));
     let answer_in = |unit: &str| with("unit=\"g\"", &format!("unit=\"{unit}\""));
     let refused = [
@@ -143,13 +143,13 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
             plain.clone(),
             "has the unit `1` (1 in SI units), and gap_ahead_m is in m; a plain number needs a `scale`",
         ),
-        (other_xml(), wired("speed_mps", "", ""), "has the unit `ft` (m in SI units), and speed_mps is in m.s-1"),
-        (other_xml(), wired("gap_ahead_m", "scale = 0.3048", ""), "`scale` must be 1 or -1, found 0.3048"),
+        (other_units_xml(), wired("speed_mps", "", ""), "has the unit `ft` (m in SI units), and speed_mps is in m.s-1"),
+        (other_units_xml(), wired("gap_ahead_m", "scale = 0.3048", ""), "`scale` must be 1 or -1, found 0.3048"),
         (answer_in("furlong"), plain.clone(), "output.variable: the FMU's `acceleration_mps2` has the unit `furlong`"),
         (answer_in("km/h"), plain.clone(), "has the unit `km/h` (m.s-1 in SI units), and the answer is in m.s-2"),
         (answer_in("1"), plain.clone(), "a plain number needs a `scale_mps2`"),
-        (other_xml(), wired("gap_ahead_m", "", "scale_mps2 = 9.8"), "`scale_mps2` must be 1 or -1, found 9.8"),
-        (other_xml(), wired("gap_ahead_m", "", "squash = \"tanh\""), "has the unit `g`, and `squash` is for answers"),
+        (other_units_xml(), wired("gap_ahead_m", "", "scale_mps2 = 9.8"), "`scale_mps2` must be 1 or -1, found 9.8"),
+        (other_units_xml(), wired("gap_ahead_m", "", "squash = \"tanh\""), "has the unit `g`, and `squash` is for answers"),
         (
             with("unit=\"late\"", "unit=\"furlong\""),
             format!("{plain}[parameters]\ntime_gap_s = 1.0\n"),
@@ -164,12 +164,12 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
         (gap_in("m"), plain.clone()),
         (gap_in("1"), wired("gap_ahead_m", "scale = 100.0", "")),
         (gap_in("%"), wired("is_ahead", "", "")),
-        (other_xml(), wired("gap_ahead_m", "scale = -1.0\noffset = 3.0", "")),
+        (other_units_xml(), wired("gap_ahead_m", "scale = -1.0\noffset = 3.0", "")),
         (answer_in("%"), wired("gap_ahead_m", "", "scale_mps2 = 3.0")),
         (answer_in("m/s²"), plain.clone()),
         // A parameter that nothing sets keeps its start value, whatever its unit is.
         (with("unit=\"late\"", "unit=\"furlong\""), plain.clone()),
-        (other_xml().replace("unit=", "quantity="), plain),
+        (other_units_xml().replace("unit=", "quantity="), plain),
     ];
     for (number, (xml, toml)) in accepted.into_iter().enumerate() {
         found(&xml, &toml).unwrap_or_else(|error| panic!("{number}: {error}"));
@@ -181,7 +181,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
 fn numbers_of_a_controller_file_are_in_si_units() {
     let place = folder();
     let library = member(2, "follower");
-    let bytes = archive(&[("modelDescription.xml", other_xml().as_bytes()), (&library, b"")]);
+    let bytes = archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
     fs::write(place.path().join("follower.fmu"), bytes).unwrap();
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = 0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 /// A genuine certificate with what checking it takes.
 #[derive(Debug, Clone)]
-pub(super) struct Genuine {
+pub(super) struct GenuineCertificate {
     /// The certificate.
     pub(super) certificate: Certificate,
     /// Its policy, if it is about one.
@@ -23,7 +23,7 @@ pub(super) struct Genuine {
 
 /// A forged certificate, as a file.
 #[derive(Debug, Clone)]
-pub(super) struct Forged {
+pub(super) struct ForgedCertificate {
     /// What was changed.
     pub(super) change: String,
     /// The file.
@@ -33,7 +33,7 @@ pub(super) struct Forged {
 }
 
 /// Forges one of some genuine certificates; `others` lends it parts.
-pub(super) fn forged(genuine: &Genuine, others: &[Genuine], random: &mut Xoshiro256PlusPlus) -> Forged {
+pub(super) fn forge(genuine: &GenuineCertificate, others: &[GenuineCertificate], random: &mut Xoshiro256PlusPlus) -> Forged {
     let mut value = serde_json::to_value(&genuine.certificate).unwrap_or_default();
     let mut policy = genuine.policy.clone();
     let places = places(&value);
@@ -167,7 +167,7 @@ fn change_text(value: &mut Value, places: &[String], random: &mut Xoshiro256Plus
 fn change_policy(
     value: &mut Value,
     policy: &mut Option<Vec<u8>>,
-    others: &[Genuine],
+    others: &[GenuineCertificate],
     random: &mut Xoshiro256PlusPlus,
 ) -> String {
     let Some(bytes) = policy else { return change_text(value, &places(value), random) };
@@ -204,7 +204,7 @@ fn change_policy(
 }
 
 /// Makes hashes and sums right again.
-fn mend(value: &mut Value) {
+fn repair_hashes(value: &mut Value) {
     if let Some(text) = value.pointer("/provenance/scenario_text").and_then(Value::as_str) {
         value["provenance"]["scenario_sha256"] = json!(sha256(text));
     }
@@ -229,7 +229,7 @@ fn mend(value: &mut Value) {
 }
 
 /// A pointer to every value.
-fn places(value: &Value) -> Vec<String> {
+fn json_pointers(value: &Value) -> Vec<String> {
     let mut places = Vec::new();
     let mut pending = vec![(String::new(), value)];
     while let Some((place, value)) = pending.pop() {

@@ -18,7 +18,7 @@ pub(super) struct Term(usize);
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Truth(usize);
 
-fn noted(text: String) -> usize {
+fn intern(text: String) -> usize {
     TEXTS.with_borrow_mut(|texts| {
         texts.push(text);
         texts.len() - 1
@@ -30,7 +30,7 @@ fn text(term: usize) -> String {
 }
 
 impl Term {
-    pub(super) fn named(name: &str) -> Self {
+    pub(super) fn symbol(name: &str) -> Self {
         Self(noted(name.to_owned()))
     }
 
@@ -38,7 +38,7 @@ impl Term {
         text(self.0)
     }
 
-    fn of_two(operator: &str, one: Self, other: Self) -> Self {
+    fn binary(operator: &str, one: Self, other: Self) -> Self {
         Self(noted(format!("({operator} {} {})", one.text(), other.text())))
     }
 }
@@ -48,7 +48,7 @@ impl Truth {
         text(self.0)
     }
 
-    fn of_two(operator: &str, one: usize, other: usize) -> Self {
+    fn binary(operator: &str, one: usize, other: usize) -> Self {
         Self(noted(format!("({operator} {} {})", text(one), text(other))))
     }
 }

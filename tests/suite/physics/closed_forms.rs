@@ -13,32 +13,32 @@ use crate::generate::{any_profile, cases, traced};
 
 /// One vehicle at constant acceleration from time 0, with no step in it: x(t) and v(t) by formula.
 #[derive(Debug, Clone, Copy)]
-struct Body {
+struct AcceleratedBody {
     x: f64,
     v: f64,
     a: f64,
 }
 
-impl Body {
-    fn stops_s(self) -> f64 {
+impl AcceleratedBody {
+    fn stop_time_s(self) -> f64 {
         if self.a < 0.0 { self.v / -self.a } else { f64::INFINITY }
     }
 
     fn x_at(self, t: f64) -> f64 {
-        let t = t.min(self.stops_s());
+        let t = t.min(self.stop_time_s());
         self.x + self.v * t + 0.5 * self.a * t * t
     }
 
     fn v_at(self, t: f64) -> f64 {
-        if t >= self.stops_s() { 0.0 } else { self.v + self.a * t }
+        if t >= self.stop_time_s() { 0.0 } else { self.v + self.a * t }
     }
 }
 
 /// First contact of two bodies and their smallest gap until `end_s`, from the closed forms: the gap is monotone between
 /// the instants at which somebody stops or both are equally fast, and a monotone function has its root by bisection.
-fn meet(front: Body, rear: Body, end_s: f64) -> (Option<f64>, f64) {
+fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (Option<f64>, f64) {
     let gap = |t: f64| front.x_at(t) - rear.x_at(t);
-    let mut turns = vec![0.0, end_s, front.stops_s(), rear.stops_s()];
+    let mut turns = vec![0.0, end_s, front.stop_time_s(), rear.stop_time_s()];
     turns.push((rear.v - front.v) / (front.a - rear.a));
     turns.retain(|t| (0.0..=end_s).contains(t));
     turns.sort_by(f64::total_cmp);
@@ -58,8 +58,8 @@ fn meet(front: Body, rear: Body, end_s: f64) -> (Option<f64>, f64) {
 }
 
 /// Two vehicles that drive by themselves from the start, `gap_m` apart, in a scenario long enough for both to stop.
-fn scenario(front: Body, rear: Body, step_s: f64, steps: u32) -> Scenario {
-    let vehicle = |body: Body| {
+fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f64, steps: u32) -> Scenario {
+    let vehicle = |body: AcceleratedBody| {
         let profile = Pieces { from_s: vec![0.0], accel_mps2: vec![body.a] };
         VehicleSpec {
             length_m: Some(4.0),
@@ -90,7 +90,7 @@ fn run(scenario: &Scenario) -> Simulated {
 
 /// A script that a vehicle at `v` can keep: one that does not ease off, and recorded speeds that start at the vehicle's and
 /// change by no more than brakes and engine allow.
-fn feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
+fn make_feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
     match &mut profile {
         LeadProfile::RampBrake(ramp) => ramp.release_s = 0.0,
         LeadProfile::BrakeToSpeed(brake) => brake.final_speed_mps = brake.final_speed_mps.min(v),
@@ -108,7 +108,7 @@ fn feasible(v: f64, mut profile: LeadProfile) -> (f64, LeadProfile) {
 }
 
 /// The speed at time t of a vehicle that started at v, by formula; meaningless once it has been zero.
-fn speed_of_script(profile: &LeadProfile, v: f64, t: f64) -> f64 {
+fn scripted_speed_mps(profile: &LeadProfile, v: f64, t: f64) -> f64 {
     match profile {
         LeadProfile::ConstantSpeed => v,
         LeadProfile::Brake(brake) => v - brake.rate_mps2 * (t - brake.onset_s).max(0.0),
@@ -137,7 +137,7 @@ fn speed_of_script(profile: &LeadProfile, v: f64, t: f64) -> f64 {
     }
 }
 
-fn step_s() -> impl Strategy<Value = f64> {
+fn any_step_s() -> impl Strategy<Value = f64> {
     prop::sample::select(vec![0.01, 0.05, 0.1, 1.0])
 }
 
@@ -154,8 +154,8 @@ proptest! {
     ) {
         let onset_s = f64::from(onset_steps) * step_s;
         let steps = onset_steps + (v / b / step_s).ceil() as u32 + 2;
-        let front = Body { x: 100.0, v, a: 0.0 };
-        let rear = Body { x: 0.0, v: 0.0, a: 0.0 };
+        let front = AcceleratedBody { x: 100.0, v, a: 0.0 };
+        let rear = AcceleratedBody { x: 0.0, v: 0.0, a: 0.0 };
         let braking = scenario(front, rear, step_s, steps).edited(|spec| {
             let brake = Brake { onset_s, rate_mps2: b };
             spec.vehicles[0].driver = Driver::Profile(LeadProfile::Brake(brake));
@@ -177,14 +177,14 @@ proptest! {
         step_s in prop::sample::select(vec![0.01, 0.05, 0.1]),
     ) {
         let (v, profile) = feasible(v, profile);
-        let bodies = [Body { x: 100.0, v, a: 0.0 }, Body { x: 0.0, v: 0.0, a: 0.0 }];
+        let bodies = [AcceleratedBody { x: 100.0, v, a: 0.0 }, AcceleratedBody { x: 0.0, v: 0.0, a: 0.0 }];
         let scripted = scenario(bodies[0], bodies[1], step_s, 100).edited(|spec| {
             spec.vehicles[0].driver = Driver::Profile(profile.clone());
         }).unwrap();
         let result = run(&scripted);
         let trace = trace_of(&result);
         for (&t, &speed_mps) in trace.time_s.iter().zip(&trace.vehicles[0].speed_mps) {
-            let scripted_mps = speed_of_script(&profile, v, t);
+            let scripted_mps = scripted_speed_mps(&profile, v, t);
             if scripted_mps <= 0.0 {
                 break;
             }
@@ -204,7 +204,7 @@ proptest! {
         let while_moving = 2.0 * g / (closing + (closing * closing + 2.0 * b * g).sqrt());
         let time_s = if while_moving <= v_f / b { while_moving } else { (g + v_f * v_f / (2.0 * b)) / v_r };
         let steps = (time_s / step_s) as u32 + 2;
-        let result = run(&scenario(Body { x: g, v: v_f, a: -b }, Body { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
+        let result = run(&scenario(AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 }, step_s, steps));
         let contact = result.outcome.contact().expect("nothing stops the rear one");
         prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
         prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
@@ -215,7 +215,7 @@ proptest! {
     fn braking_into_a_standing_vehicle((g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64), step_s in step_s()) {
         let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
         prop_assume!(left.abs() > 1e-3);
-        let result = run(&scenario(Body { x: g, v: 0.0, a: 0.0 }, Body { x: 0.0, v, a: -b }, step_s, steps));
+        let result = run(&scenario(AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b }, step_s, steps));
         if left > 0.0 {
             let contact = result.outcome.contact().expect("it cannot stop in time");
             prop_assert!((contact.time_s - (v - left.sqrt()) / b).abs() < 1e-9);
@@ -234,7 +234,7 @@ proptest! {
         (a_f, a_r) in (-10.0..4.0_f64, -10.0..4.0_f64),
         (steps, step_s) in (1..120_u32, step_s()),
     ) {
-        let (front, rear) = (Body { x: g, v: v_f, a: a_f }, Body { x: 0.0, v: v_r, a: a_r });
+        let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: a_f }, AcceleratedBody { x: 0.0, v: v_r, a: a_r });
         let steps = steps.min((12.0 / step_s) as u32);
         let (meeting_s, smallest_m) = meet(front, rear, f64::from(steps) * step_s);
         prop_assume!(meeting_s.is_some() || smallest_m > 1e-6);
@@ -259,7 +259,7 @@ proptest! {
 #[test]
 fn noise_is_as_large_as_stated() {
     let deviation_mps2 = 0.3;
-    let body = |x: f64| Body { x, v: 30.0, a: 0.0 };
+    let body = |x: f64| AcceleratedBody { x, v: 30.0, a: 0.0 };
     let scenario = scenario(body(1000.0), body(0.0), 0.01, 2000).edited(|spec| {
         spec.vehicles[0].acceleration_noise_mps2 = deviation_mps2;
     });

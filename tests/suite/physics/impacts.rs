@@ -10,7 +10,7 @@ use super::trace_of;
 use crate::generate::{any_scenario, ask, cases, traced};
 
 /// A line in which some vehicles do not look and the one ahead of them is slower.
-fn pile_up() -> impl Strategy<Value = Scenario> {
+fn any_pile_up() -> impl Strategy<Value = Scenario> {
     let careless = prop::collection::vec((any::<bool>(), 0.0..20.0_f64), 6);
     (any_scenario(), careless).prop_map(|(scenario, careless)| {
         let crowd = |spec: &mut ScenarioSpec| {
@@ -25,7 +25,7 @@ fn pile_up() -> impl Strategy<Value = Scenario> {
     })
 }
 
-fn going_on() -> Setup {
+fn continuing_setup() -> Setup {
     Setup { after_contact: AfterContact::Continue, ..Setup::truthful() }
 }
 

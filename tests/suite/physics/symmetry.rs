@@ -18,7 +18,7 @@ fn assert_same_impacts(before: &Simulated, after: &Simulated, shift: usize, shif
 }
 
 /// Vehicles at one speed whose drivers hold it until the leader does something.
-fn steady_scenario() -> impl Strategy<Value = Scenario> {
+fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
     let followers = prop::collection::vec((0..4_u8).prop_map(Kind::Controller), 1..4);
     let shape =
         (1..6_u8, followers, prop::sample::select(vec![0.01, 0.02, 0.05])).prop_map(|(leader, followers, step_s)| {
@@ -41,7 +41,7 @@ fn steady_scenario() -> impl Strategy<Value = Scenario> {
 }
 
 /// The same script, later.
-fn delayed(profile: &mut LeadProfile, by_s: f64) {
+fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
     let later = |times: &mut Vec<f64>| times.iter_mut().for_each(|time_s| *time_s += by_s);
     match profile {
         LeadProfile::ConstantSpeed => {}
@@ -58,7 +58,7 @@ proptest! {
 
     /// A leader that acts k steps later makes everything happen k steps later and that much farther down the road.
     #[test]
-    fn time_shift(scenario in steady_scenario(), steps in 1..150_usize, after_contact in any_after_contact()) {
+    fn time_shift(scenario in any_steady_scenario(), steps in 1..150_usize, after_contact in any_after_contact()) {
         let spec = scenario.spec();
         let by_s = steps as f64 * spec.step_s;
         let later = scenario.edited(|spec| {
@@ -147,7 +147,7 @@ proptest! {
 fn scenarios_of_the_symmetry_tests_are_neither_all_safe_nor_all_fatal() {
     use proptest::strategy::ValueTree;
     let mut runner = proptest::test_runner::TestRunner::deterministic();
-    let scenarios: [BoxedStrategy<Scenario>; 2] = [any_scenario().boxed(), steady_scenario().boxed()];
+    let scenarios: [BoxedStrategy<Scenario>; 2] = [any_scenario().boxed(), any_steady_scenario().boxed()];
     for strategy in scenarios {
         let options = Setup::truthful().options(0.01);
         let collisions = (0..200)

@@ -20,12 +20,12 @@ use crumple_world::sim::{
 use crate::command_line::falsify::assert_same;
 use crate::command_line::{code, crumple, folder, killed_at_random};
 
-const BAD: &str = include_str!("bad.sh");
+const BAD_SCRIPT: &str = include_str!("bad.sh");
 
 /// A folder with `bad.sh`, and with a controller file for what it shall do.
-fn bad(what: &str, files: &str) -> tempfile::TempDir {
+fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
     let folder = folder();
-    fs::write(folder.path().join("bad.sh"), BAD).unwrap();
+    fs::write(folder.path().join("bad.sh"), BAD_SCRIPT).unwrap();
     let mark = folder.path().display();
     let text = format!(
         "version = 1\ncommand = [\"sh\", \"bad.sh\", \"{what}\", \"{mark}\"]\n{files}\nstart_within_s = 3.0\nanswer_within_s = 0.4\n"
@@ -34,19 +34,19 @@ fn bad(what: &str, files: &str) -> tempfile::TempDir {
     folder
 }
 
-const LISTED: &str = "files = [\"bad.sh\"]";
+const LISTED_FILES: &str = "files = [\"bad.sh\"]";
 
-fn find(name: &str, folder: &Path) -> NamedController {
+fn find_controller(name: &str, folder: &Path) -> NamedController {
     NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn drive(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
+fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> Simulated {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
 
 /// Processes whose command holds a text.
-fn alive(mark: &str) -> Vec<String> {
+fn running_processes(mark: &str) -> Vec<String> {
     let Ok(all) = fs::read_dir("/proc") else { return Vec::new() };
     let commands = all.flatten().filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
     let commands = commands.map(|command| String::from_utf8_lossy(&command).replace('\0', " "));
@@ -54,7 +54,7 @@ fn alive(mark: &str) -> Vec<String> {
 }
 
 /// The system ends processes soon, and not at once.
-fn assert_nothing_stays(mark: &str) {
+fn assert_no_process_remains(mark: &str) {
     let end = Instant::now() + Duration::from_secs(20);
     while !alive(mark).is_empty() {
         assert!(Instant::now() < end, "{:?}", alive(mark));
@@ -62,7 +62,7 @@ fn assert_nothing_stays(mark: &str) {
     }
 }
 
-fn short() -> Scenario {
+fn short_scenario() -> Scenario {
     built_in("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
 }
 
@@ -120,7 +120,7 @@ fn whatever_a_process_does_wrong_ends_the_run() {
             other => assert!(who.is_empty(), "{what}: {other:?}"),
         }
         drop(controller);
-        assert_nothing_stays(&folder.path().display().to_string());
+        assert_no_process_remains(&folder.path().display().to_string());
     }
     let failed = drive(&find("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
     let said = failed.failed().unwrap().to_string();
@@ -132,14 +132,14 @@ fn whatever_a_process_does_wrong_ends_the_run() {
 /// Whoever fails in a batch ends its own run, and no other.
 #[test]
 fn a_failure_in_a_batch_is_of_one_run() {
-    let Some(folder) = with_python() else { return };
+    let Some(folder) = python_example_folder() else { return };
     let text = fs::read_to_string(folder.path().join("follower.py")).unwrap();
     let picky =
         text.replace("    wanted_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    wanted_mps2 =");
     fs::write(folder.path().join("picky.py"), picky).unwrap();
     let controller = find("exec:python3 picky.py", folder.path()).kind;
     let scenarios = draws(40);
-    let together = in_lockstep(&controller, &scenarios);
+    let together = simulate_in_lockstep(&controller, &scenarios);
     let failed = together.iter().filter(|one| one.outcome.failed().is_some()).count();
     assert!((1..40).contains(&failed), "{failed}");
     for (scenario, together) in scenarios.iter().zip(together) {
@@ -147,12 +147,12 @@ fn a_failure_in_a_batch_is_of_one_run() {
     }
 }
 
-fn draws(count: u64) -> Vec<Scenario> {
+fn draw_scenarios(count: u64) -> Vec<Scenario> {
     let space = built_in_space("high-risk").unwrap();
     (0..count).map(|index| space.draw(3, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
 }
 
-fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
+fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simulated> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
@@ -161,7 +161,7 @@ fn in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<Simul
 const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/controllers");
 
 /// A folder with the examples; none where Python is not there, with a message.
-fn with_python() -> Option<tempfile::TempDir> {
+fn python_example_folder() -> Option<tempfile::TempDir> {
     if !Command::new("python3").arg("--version").output().is_ok_and(|found| found.status.success()) {
         println!("skipped: there is no python3");
         return None;
@@ -176,7 +176,7 @@ fn with_python() -> Option<tempfile::TempDir> {
 /// Python in batches, Python run by run, and C answer the same, in both engines.
 #[test]
 fn the_examples_drive_alike() {
-    let Some(folder) = with_python() else { return };
+    let Some(folder) = python_example_folder() else { return };
     let mut commands = vec!["exec:python3 follower.py", "exec:python3 follower.py alone"];
     let compiled =
         Command::new("cc").args(["-O2", "-o", "follower", "follower.c", "-lm"]).current_dir(folder.path()).output();
@@ -185,10 +185,10 @@ fn the_examples_drive_alike() {
         _ => println!("skipped follower.c: there is no C compiler"),
     }
     let scenarios = draws(30);
-    let first = in_lockstep(&find(commands[0], folder.path()).kind, &scenarios);
+    let first = simulate_in_lockstep(&find(commands[0], folder.path()).kind, &scenarios);
     for command in commands {
         let controller = find(command, folder.path()).kind;
-        assert_eq!(in_lockstep(&controller, &scenarios), first, "{command}");
+        assert_eq!(simulate_in_lockstep(&controller, &scenarios), first, "{command}");
         assert_eq!(drive(&controller, &scenarios[3]), first[3], "{command}");
     }
     assert!(drive(&find("follower.toml", folder.path()).kind, &built_in("paper-1").unwrap()).outcome.is_safe());
@@ -249,7 +249,7 @@ fn what_lists_no_files_is_neither_resumed_nor_certified_nor_kept() {
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let plan = AssessmentPlan::load(&folder.path().join("a.toml")).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(plan.without_identity().map(|unknown| unknown.name.as_str()), Some("exec:sh bad.sh"));
+    assert_eq!(plan.first_without_identity().map(|unknown| unknown.name.as_str()), Some("exec:sh bad.sh"));
 }
 
 /// A process that drives traffic drives as it would under test.
@@ -338,21 +338,21 @@ fn nothing_stays_behind_a_kill() {
     assert_eq!(alive(&watchmen).len(), 2);
     killed.kill().unwrap();
     killed.wait().unwrap();
-    assert_nothing_stays(&mark);
-    assert_nothing_stays(&watchmen);
+    assert_no_process_remains(&mark);
+    assert_no_process_remains(&watchmen);
 }
 
 /// Runs follow each other in one process a vehicle and thread, and those that fail leave nothing either.
 #[cfg(target_os = "linux")]
 #[test]
 fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
-    let Some(folder) = with_python() else { return };
+    let Some(folder) = python_example_folder() else { return };
     let mark = folder.path().display().to_string();
     write_short_space(folder.path());
     let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
     let alone = text.replace("\"follower.py\"]\nfiles", &format!("\"follower.py\", \"alone\", \"{mark}\"]\nfiles"));
     fs::write(folder.path().join("alone.toml"), alone).unwrap();
-    fs::write(folder.path().join("bad.sh"), BAD).unwrap();
+    fs::write(folder.path().join("bad.sh"), BAD_SCRIPT).unwrap();
     let crash = format!("version = 1\ncommand = [\"sh\", \"bad.sh\", \"end\", \"{mark}\"]\nfiles = [\"bad.sh\"]\n");
     fs::write(folder.path().join("crash.toml"), crash).unwrap();
     for (controller, runs) in [("alone.toml", "10000"), ("crash.toml", "200")] {
@@ -368,7 +368,7 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         let expected =
             if controller == "crash.toml" { "(200 failures, of 200 runs" } else { "0 failures, of 10000 runs" };
         assert!(said.contains(expected), "{said}");
-        assert_nothing_stays(&mark);
+        assert_no_process_remains(&mark);
     }
     let complete = crumple(folder.path(), &["fsck", "200"]);
     let said = String::from_utf8_lossy(&complete.stdout).into_owned();
@@ -383,7 +383,7 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: seconds between kills"]
     fn a_campaign_with_a_process_goes_on_after_a_kill() {
-        let Some(folder) = with_python() else { return };
+        let Some(folder) = python_example_folder() else { return };
         let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
         let alone = crate::tiny::changed(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
         fs::write(folder.path().join("alone.toml"), alone).unwrap();

@@ -13,7 +13,7 @@ use super::{bad, drive, find, short, write_short_space};
 use crate::command_line::{code, crumple, folder};
 
 /// Holds its speed, and dies where the vehicle ahead is nearer than its argument, in whole metres.
-const NEAR: &str = r#"#!/bin/sh
+const NEAR_SCRIPT: &str = r#"#!/bin/sh
 while read -r line; do
     id=${line#'{"id":'}
     id=${id%%,*}
@@ -33,7 +33,7 @@ done
 
 /// A folder with a space of short runs, a controller that dies near others, one that never does, one that remembers the runs before, and
 /// two that cannot be started.
-fn bench() -> tempfile::TempDir {
+fn controllers_folder() -> tempfile::TempDir {
     let folder = bad("remember", "files = [\"bad.sh\"]");
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     write("near.sh", NEAR);
@@ -51,17 +51,17 @@ fn bench() -> tempfile::TempDir {
 }
 
 /// What a command says on standard output, with its exit code and its errors.
-fn said(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+fn run_and_capture(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
     let output = crumple(folder, arguments);
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     (code(&output), text(&output.stdout), text(&output.stderr))
 }
 
-fn json(path: &Path) -> Value {
+fn read_json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-const ASSESSED: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = 2\ncertificates = []\n\
+const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = 2\ncertificates = []\n\
                         search = { spaces = [\"short.toml\"], budget = 8 }\nrates = { runs = 0 }\n";
 
 #[test]
@@ -247,8 +247,8 @@ fn who_remembers_late_is_caught_in_the_end() {
     let scenario = short();
     let failed = (0..64).find(|_| drive(&controller.kind, &scenario).outcome.failed().is_some());
     assert!(failed.is_some_and(|run| run > 4), "{failed:?}");
-    assert!(controller.not_refused().is_err_and(|error| error.to_string().contains("is its state cleared at reset?")));
-    assert!(find("bad.toml", folder.path()).not_refused().is_ok());
+    assert!(controller.ensure_trusted().is_err_and(|error| error.to_string().contains("is its state cleared at reset?")));
+    assert!(find("bad.toml", folder.path()).ensure_trusted().is_ok());
 }
 
 /// Who calls a suite or a map of one need not ask whether a controller was refused on the way.

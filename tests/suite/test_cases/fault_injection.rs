@@ -31,7 +31,7 @@ static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
 });
 
 /// The program with something wrong in it.
-pub(super) struct Wrong(pub(super) Fault);
+pub(super) struct FaultySystem(pub(super) Fault);
 
 /// What is wrong with a system.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +43,7 @@ pub(super) enum Fault {
     /// Half a sample's way is missing now and then.
     Leap,
     /// Coasting makes faster.
-    Perpetual,
+    CoastingAccelerates,
     /// Noise and controllers act at the integration step.
     NoiseOnSubsteps,
     /// A run's result in a batch is its neighbour's.
@@ -55,15 +55,15 @@ pub(super) enum Fault {
     /// The struck vehicle keeps its speed.
     ElasticImpact,
     /// What has touched comes apart again.
-    Loosened,
+    ContactReleased,
     /// The run goes on, and reports nothing.
     ContactForgotten,
     /// The smallest gap is that at the samples only, of the pair behind.
-    GapOfTheNext,
+    GapOfVehicleBehind,
     /// Braking disregards the road.
-    Limitless,
+    FrictionIgnored,
     /// The report takes the vehicle that was hit for the one that hit.
-    Blame,
+    ContactRoleSwapped,
     /// Closing speed has the wrong sign.
     RateSign,
     /// Estimates may say that a vehicle reverses.
@@ -75,16 +75,16 @@ pub(super) enum Fault {
     /// "Always" begins a sample late.
     LateWindow,
     /// A formula holds when it does not.
-    Yes,
+    AlwaysSatisfied,
     /// Nobody stands between full throttle and the brake.
     NoShield,
     /// The bound over all drivers is half of what it should be.
-    HalfTheBound,
+    HalvedBound,
     /// Nobody survives anything.
-    Doom,
+    AlwaysUnavoidable,
 }
 
-impl System for Wrong {
+impl System for FaultySystem {
     fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
         match self.0 {
             Fault::GapSign => {
@@ -196,7 +196,7 @@ impl System for Wrong {
 }
 
 /// A result with something wrong in it.
-fn damaged(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
+fn inject_fault(fault: Fault, mut result: Simulated, run: &Run) -> Simulated {
     let Some(trace) = &mut result.trace else { return result };
     match fault {
         Fault::NoStandstill => {
@@ -291,7 +291,7 @@ fn every_oracle_notices_its_fault() {
     // Of the 18 laws, one is that every test case can be run, and two are of the targets that read files.
     assert_eq!((oracles.len(), laws.len()), (ORACLES.len(), 15));
     for (fault, oracle, law) in wrong {
-        let system = Wrong(fault);
+        let system = FaultySystem(fault);
         // As a property of the suite.
         let config = ProptestConfig { failure_persistence: None, max_shrink_iters: 0, cases: 256, ..cases(256) };
         let mut runner = TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
@@ -307,7 +307,7 @@ fn every_oracle_notices_its_fault() {
         let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
         // By whichever oracle is asked first; of the right program they say nothing.
         let is_noticed = |bytes: Vec<u8>| {
-            let test_case = TestCase::of_bytes(&bytes);
+            let test_case = TestCase::from_bytes(&bytes);
             test_case.examine(&system).is_err() && test_case.examine(&Crumple).is_ok()
         };
         assert!(inputs.any(is_noticed), "the fuzz target misses {fault:?}");

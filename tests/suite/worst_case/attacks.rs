@@ -17,12 +17,12 @@ fn options(controller: &str) -> RunOptions {
     RunOptions::new(ControllerSpec::named(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
 }
 
-fn found_by(scenario: &Scenario, options: &RunOptions, aim: Aim, envelope: Envelope, budget: usize) -> Option<Attack> {
+fn find_attack(scenario: &Scenario, options: &RunOptions, aim: Aim, envelope: Envelope, budget: usize) -> Option<Attack> {
     attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").found
 }
 
 /// Random braking within the envelope, one acceleration a tenth of a second, and its ∫ a².
-fn sample(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (f64, Scenario) {
+fn random_braking(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (f64, Scenario) {
     let cells = scenario.steps().div_ceil(10);
     let (mut from_s, mut accel_mps2) = (Vec::new(), Vec::new());
     let (mut now, mut aim, mut until) = (0.0_f64, 0.0, 0);

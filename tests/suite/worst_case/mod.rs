@@ -21,7 +21,7 @@ use serde_json::Value;
 use scenes::{random, scenario_of, small, with_profile};
 
 /// Decided, and where there is an escape its bound is one that the checker accepts, and no smaller one.
-fn decide(scenario: &Scenario) -> Avoidance {
+fn decide_with_bound(scenario: &Scenario) -> Avoidance {
     let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
     let avoidance = avoid(scenario, options).expect("the default grid fits");
     let Some(certificate) = &avoidance.bound_certificate else { return avoidance };
@@ -46,7 +46,7 @@ fn smallest_gap_m(simulated: &Simulated) -> f64 {
     simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
 }
 
-fn check(certificate: &Certificate) -> Accepted {
+fn check_certificate(certificate: &Certificate) -> Accepted {
     // What counts is what stands in the file.
     let text = serde_json::to_string(certificate).expect("plain data");
     let read = Certificate::from_json(&text).expect("our own file");
@@ -296,7 +296,7 @@ fn what_survives_mutation_is_true() {
                 .is_ok_and(|file| crumple_verify::check(&file).is_ok())
             {
                 accepted += 1;
-                assert!(is_true(&certificate, &mutant), "{}: {change}", scenario.spec().name);
+                assert!(is_true_statement(&certificate, &mutant), "{}: {change}", scenario.spec().name);
             } else {
                 rejected += 1;
             }
@@ -307,7 +307,7 @@ fn what_survives_mutation_is_true() {
     assert!(rejected > accepted && accepted > 0, "{accepted} accepted, {rejected} rejected");
 }
 
-fn is_true(original: &Certificate, mutant: &Value) -> bool {
+fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
     let mutant: Certificate = serde_json::from_value(mutant.clone()).expect("was read before");
     match (&original.statement, &mutant.statement) {
         // The same claim with another proof.

@@ -17,21 +17,21 @@ use super::scenes::Dice;
 /// Tries between two looks at the best profiles.
 const BATCH: usize = 250;
 /// Profiles that are changed.
-const BEST: usize = 5;
+const ELITE_COUNT: usize = 5;
 /// Shares of the duration in which all knots of a random profile lie.
-const HORIZONS: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
+const HORIZON_SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
 
 /// A profile, accelerations from instants on, and the margin that it keeps.
 #[derive(Debug, Clone)]
-pub(super) struct Tried {
+pub(super) struct TriedProfile {
     pub(super) pieces: Vec<(f64, f64)>,
     pub(super) margin_m: f64,
 }
 
 /// The profile of vehicle 1 with the largest smallest gap of so many random ones; its margin is negative if each collides.
-pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> Tried {
+pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> TriedProfile {
     let dice = &mut Dice(seed);
-    let mut best: Vec<Tried> = Vec::new();
+    let mut best: Vec<TriedProfile> = Vec::new();
     let mut left = tries;
     while left > 0 {
         let profiles: Vec<_> = (0..left.min(BATCH))
@@ -46,13 +46,13 @@ pub(super) fn random_search(scenario: &Scenario, tries: usize, seed: u64) -> Tri
         left -= profiles.len();
         best.extend(tried(scenario, profiles));
         best.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
-        best.truncate(BEST);
+        best.truncate(ELITE_COUNT);
     }
     best.swap_remove(0)
 }
 
 /// An acceleration of vehicle 1: a limit, none, or anything between.
-fn level(scenario: &Scenario, dice: &mut Dice) -> f64 {
+fn random_level_mps2(scenario: &Scenario, dice: &mut Dice) -> f64 {
     let (low, high) = (-scenario.usable_brake_mps2(1), scenario.vehicles()[1].max_accel_mps2());
     match dice.between(0.0, 6.0) as usize {
         0 => low,
@@ -64,7 +64,7 @@ fn level(scenario: &Scenario, dice: &mut Dice) -> f64 {
 }
 
 /// One to eight pieces.
-fn any_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
+fn random_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
     let horizon = HORIZONS[(dice.between(0.0, 4.0) as usize).min(3)];
     let count = 1 + dice.between(0.0, 8.0) as usize;
     let mut pieces = vec![(0.0, level(scenario, dice))];
@@ -75,7 +75,7 @@ fn any_profile(scenario: &Scenario, dice: &mut Dice) -> Vec<(f64, f64)> {
 }
 
 /// One to three random changes: of a level, of a knot, of all levels, or of the number of pieces.
-fn changed(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut Dice) -> Vec<(f64, f64)> {
+fn mutate_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut Dice) -> Vec<(f64, f64)> {
     for _ in 0..1 + dice.between(0.0, 3.0) as usize {
         let at = (dice.between(0.0, pieces.len() as f64) as usize).min(pieces.len() - 1);
         // Small changes as often as large ones.
@@ -96,7 +96,7 @@ fn changed(scenario: &Scenario, mut pieces: Vec<(f64, f64)>, dice: &mut Dice) ->
 }
 
 /// Knots on the scenario's steps, in order, from the start on, and levels within the limits.
-fn in_order(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+fn normalise_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let step_s = scenario.spec().step_s;
     let (low, high) = (-scenario.usable_brake_mps2(1), scenario.vehicles()[1].max_accel_mps2());
     for (from_s, held) in &mut pieces {
@@ -109,7 +109,7 @@ fn in_order(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f64, f64)>
     pieces
 }
 
-fn tried(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec<Tried> {
+fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec<TriedProfile> {
     let scripted = |pieces: &Vec<(f64, f64)>| {
         let (from_s, accel_mps2) = pieces.iter().copied().unzip();
         let script = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2 }));
@@ -121,33 +121,33 @@ fn tried(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec<Tried> {
         Outcome::Collision(contact) => -0.1 * contact.impact_speed_mps.powi(2),
         _ => super::smallest_gap_m(&simulated),
     });
-    profiles.into_iter().zip(margins_m).map(|(pieces, margin_m)| Tried { pieces, margin_m }).collect()
+    profiles.into_iter().zip(margins_m).map(|(pieces, margin_m)| TriedProfile { pieces, margin_m }).collect()
 }
 
-fn by_script() -> RunOptions {
+fn script_options() -> RunOptions {
     RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
 }
 
-fn read(name: &str) -> Scenario {
+fn load_escape_scenario(name: &str) -> Scenario {
     file::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/suite/worst_case/escapes").join(name))
         .expect("a scenario")
 }
 
-fn found(scenario: &Scenario) -> Avoidance {
+fn avoid_with_bound(scenario: &Scenario) -> Avoidance {
     avoid(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() }).expect("the default grid fits")
 }
 
 /// How a random search compares with `avoid` in random scenarios of the space `assisted`.
 #[derive(Debug, Default)]
-struct Comparison {
+struct SearchComparison {
     /// Scenarios in which it keeps a gap that is larger by more than 2 % and 0.05 m.
     improved: Vec<(u64, f64, f64)>,
     undecided: Vec<u64>,
 }
 
-fn compare(scenarios: std::ops::Range<u64>, tries: usize) -> Comparison {
+fn compare(scenarios: std::ops::Range<u64>, tries: usize) -> SearchComparison {
     let space = built_in_space("assisted").expect("built in");
-    let mut comparison = Comparison::default();
+    let mut comparison = SearchComparison::default();
     for index in scenarios {
         let scenario = space.draw(49, index).expect("a draw");
         let avoidance = found(&scenario);

@@ -23,7 +23,7 @@ impl Dice {
 }
 
 /// An emergency stop ahead and somebody close behind, on any road.
-pub(crate) fn random(seed: u64) -> Scenario {
+pub(crate) fn random_scenario(seed: u64) -> Scenario {
     let dice = &mut Dice(seed);
     let class = |dice: &mut Dice| if dice.one_in(2.0) { VehicleClass::Heavy } else { VehicleClass::Light };
     let speed_mps = dice.between(10.0, 40.0);
@@ -60,7 +60,7 @@ pub(crate) fn random(seed: u64) -> Scenario {
 }
 
 /// A few seconds in steps of a tenth.
-pub(crate) fn small(seed: u64) -> Scenario {
+pub(crate) fn small_scenario(seed: u64) -> Scenario {
     let dice = &mut Dice(seed + 1_000_000);
     let brake = Brake { onset_s: 0.0, rate_mps2: dice.between(4.0, 9.0) };
     let mut leader = VehicleSpec::new(VehicleClass::Light, 0.0, 12.0, Driver::Profile(LeadProfile::Brake(brake)));
@@ -74,7 +74,7 @@ pub(crate) fn small(seed: u64) -> Scenario {
 }
 
 /// Positions are still the gaps ahead.
-fn scenario(name: String, step_s: f64, duration_s: f64, friction: f64, mut vehicles: Vec<VehicleSpec>) -> Scenario {
+fn scenario_from_gaps(name: String, step_s: f64, duration_s: f64, friction: f64, mut vehicles: Vec<VehicleSpec>) -> Scenario {
     let mut rear_bumper_m = 0.0;
     for vehicle in &mut vehicles {
         vehicle.position_m = rear_bumper_m - vehicle.position_m;
@@ -103,7 +103,7 @@ pub(crate) fn with_profile(scenario: &Scenario, accel_mps2: Vec<f64>, held_s: f6
 
 /// The scenario that the scene of a certificate describes, with a profile for each ego if there are any; none if no
 /// scenario file may say so.
-pub(crate) fn scenario_of(scene: &Scene, witness: &[Vec<Held<f64>>]) -> Option<Scenario> {
+pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<Held<f64>>]) -> Option<Scenario> {
     let pieces = |runs: Vec<(u32, f64)>| {
         let mut step = 0;
         let (mut from_s, mut accel_mps2) = (Vec::new(), Vec::new());

@@ -4,7 +4,7 @@ use super::*;
 use crate::reach::{Format, Layer, Step};
 use proptest::prelude::*;
 
-fn at(value: f64) -> Interval {
+fn point(value: f64) -> Interval {
     Interval::point(value)
 }
 
@@ -13,7 +13,7 @@ fn is_near(found: Interval, [low, high]: [f64; 2], off: f64) -> bool {
 }
 
 /// Way, speed and gamma a period later, by the method of Runge and Kutta.
-fn period_later(state: [f64; 3], a: f64) -> [f64; 3] {
+fn simulate_period(state: [f64; 3], a: f64) -> [f64; 3] {
     const PARTS: u32 = 10;
     let h = 0.1 / f64::from(PARTS);
     let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - 1e-4 * v * v];
@@ -36,7 +36,7 @@ proptest! {
             speed: Form::constant(at(v)),
             gamma: Form::constant(at(gamma)),
         };
-        let (after, meanwhile) = car.after(&Form::constant(at(a)), &Period::new(), 0).unwrap();
+        let (after, meanwhile) = car.after(&Form::constant(at(a)), &PeriodCoefficients::new(), 0).unwrap();
         let drive = [2.0 * a - 1e-4 * (v + 2.0).powi(2), 2.0 * a - 1e-4 * (v - 2.0).powi(2)];
         let gammas = [gamma.min(drive[0] / 2.0), gamma.max(drive[1] / 2.0)];
         prop_assert!(is_near(meanwhile.drive, drive, 1e-9) && is_near(meanwhile.gamma, gammas, 1e-9));
@@ -48,7 +48,7 @@ proptest! {
         let of_speed = (1.0 - decay) / 2.0;
         let half_of_speed = (0.1 - of_speed) / 2.0;
         let of_way = (0.005 - half_of_speed) / 2.0;
-        let exact = period_later([0.0, v, gamma], a);
+        let exact = simulate_period([0.0, v, gamma], a);
         for (form, base, of_w, exact) in [
             (after.way, 0.1 * v + half_of_speed * gamma, of_way, exact[0]),
             (after.speed, v + of_speed * gamma, half_of_speed, exact[1]),
@@ -64,7 +64,7 @@ proptest! {
 /// 2 m/s in a tenth of a second, which is what is tried, to the last bit of either end: touching it shows nothing.
 #[test]
 fn a_speed_that_may_touch_what_is_tried_is_given_up() {
-    let (period, still) = (Period::new(), Form::default());
+    let (period, still) = (PeriodCoefficients::new(), Form::default());
     for sign in [1.0, -1.0] {
         let mut seen = [0; 3];
         // A form is a little wider than what it is made of.
@@ -74,7 +74,7 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
             let car = Car { way: Form::default(), speed: Form::constant(at(30.0)), gamma: Form::constant(gamma) };
             let before = car.speed.range();
             let within = before + period.time.hull(Interval::ZERO) * car.gamma.range();
-            let tried = before + Interval::around_zero(TRIED_MPS);
+            let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);
             let order = if sign > 0.0 {
                 within.high().partial_cmp(&tried.high())
             } else {
@@ -91,7 +91,7 @@ fn a_speed_that_may_touch_what_is_tried_is_given_up() {
 }
 
 /// A network of one product: a is affine in the own speed.
-fn affine(of_speed: f64, a: f64) -> Actor {
+fn affine_controller(of_speed: f64, a: f64) -> Actor {
     let layer = Layer { inputs: 5, outputs: 1, weights: vec![0.0, 0.0, of_speed, 0.0, 0.0], biases: vec![a] };
     Actor {
         inputs: inputs().to_vec(),
@@ -108,7 +108,7 @@ fn affine(of_speed: f64, a: f64) -> Actor {
     }
 }
 
-fn found(actor: &Actor, distance_m: f64) -> Found {
+fn bound_point(actor: &Actor, distance_m: f64) -> Found {
     driven(actor, at(distance_m), &Work::within(WorkLimit::NONE)).unwrap()
 }
 
@@ -131,7 +131,7 @@ fn between_decisions_the_margin_falls_by_no_more_than_its_bend_allows() {
 fn an_affine_network_is_bounded_as_it_drives() {
     for (of_speed, a) in [(0.0, -3.0), (0.0, 1.0), (0.25, -7.5), (-0.5, 15.0)] {
         let at_end = |x_ego: f64, v_ego: f64| {
-            let drive = |state: [f64; 3], _| period_later(state, of_speed * state[1] + a);
+            let drive = |state: [f64; 3], _| simulate_period(state, of_speed * state[1] + a);
             (0..PERIODS).fold([x_ego, v_ego, 0.0], drive)[0]
         };
         let exact = [at_end(10.0, 30.0), at_end(11.0, 30.2)];
@@ -149,7 +149,7 @@ fn the_time_at_which_bounds_are_too_wide_is_said() {
         let actor = affine(1.0, at_start - 30.2);
         let (mut fastest, mut periods) = ([0.0, 30.2, 0.0_f64], 0);
         while fastest[2].max(fastest[1] - 30.2 + at_start - 0.5e-4 * fastest[1] * fastest[1]) < 20.0 {
-            fastest = period_later(fastest, fastest[1] - 30.2 + at_start);
+            fastest = simulate_period(fastest, fastest[1] - 30.2 + at_start);
             periods += 1;
         }
         assert!(periods > 1, "{periods}");

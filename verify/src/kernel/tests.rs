@@ -3,19 +3,19 @@
 
 use super::*;
 
-fn number(text: &str) -> BigRational {
+fn rational(text: &str) -> BigRational {
     text.parse().unwrap()
 }
 
 /// What is covered up to `t` while braking at `rate` with `stop` to go, to standstill if it comes to that.
-fn covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> BigRational {
+fn distance_covered(rate: &BigRational, stop: &BigRational, t: &BigRational) -> BigRational {
     let moving = t.min(stop);
     rate * (stop * moving - moving * moving / number("2"))
 }
 
 /// The polynomials of a pair, with the closed form's p and q as given and r, beside what they have to be worth at a point: from
 /// the motion itself, and from the claims.
-fn cases(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(Case, BigRational)> {
+fn cases_with_values(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(Case, BigRational)> {
     let [b, c, p, q, r] = [b, c, p, q, r].map(number);
     let [x, y, z] = at;
     let (xy, xyz) = (x + y, x + y + z);
@@ -27,11 +27,11 @@ fn cases(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(
     };
     let pair = Pair { b: &b, c: &c, stopping: [&p, &q] };
     let mut worth = vec![s_of(x, y) - closing(x, y, x.max(y)), s_of(&xyz, x) - closing(&xyz, x, &xy)];
-    let mut all = pair.stops_last().to_vec();
+    let mut all = pair.last_stop_cases().to_vec();
     if b > c {
-        all.push(pair.brakes_harder());
+        all.push(pair.harder_braking_case());
         worth.push(closing(&xyz, &xy, &xyz) - closing(&xyz, &xy, x));
-        all.extend(pair.catches_up(&r));
+        all.extend(pair.catching_up_cases(&r));
         let harder = &b - &c;
         // t = x, A = y, B = z, whoever might stand by then: an identity.
         let two = number("2");
@@ -45,7 +45,7 @@ fn cases(b: &str, c: &str, at: [&BigRational; 3], [p, q, r]: [&str; 3]) -> Vec<(
         worth.push(moving(&c, &stop_ahead, y) - moving(&b, x, y));
         worth.push(closing(x, &xyz, x) - closing(x, &xyz, &xy));
     } else {
-        all.extend(pair.brakes_softer());
+        all.extend(pair.softer_braking_cases());
         worth.push(x * s_of(&xyz, &xy) - &xy * closing(&xyz, &xy, x));
         worth.push(-closing(&xy, &xyz, x));
         worth.push(-closing(x, &xyz, &xy));

@@ -20,9 +20,9 @@
 //! and, times y, at most 1/4: so the quotient is off by 2⁻²⁴ for the exponential, by u for the sum and by u for the division, in all by less
 //! than 2⁻²². α (eˣ - 1) is off by |α| (2⁻²² + u) at most, less than |α| 2⁻²¹.
 
-use super::actor::{TANH_ERROR, U};
-use super::form::Form;
-use super::relax::{elu_line, hyperbolic_tangent_line, line, rectifier};
+use super::controller::{TANH_ERROR, UNIT_ROUNDOFF};
+use super::form::AffineForm;
+use super::relax::{elu_relaxation, tanh_relaxation, linear_enclosure, relu_relaxation};
 use crate::interval::Interval;
 
 /// How far 1/(1 + e⁻ˣ) in single precision is from the true one at most.
@@ -34,7 +34,7 @@ const UNDERFLOW: f64 = 1e-44;
 
 /// Something done to each number: one operand for each of them where there are operands.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Each {
+pub enum Activation {
     /// max(0, x).
     Relu,
     /// x, times this below 0.
@@ -62,29 +62,29 @@ pub enum Each {
 
 /// A function is in `slope` x + [`low`, `high`], and what is computed for it within `rounding` of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Line {
+pub(super) struct LinearRelaxation {
     pub(super) slope: f64,
     pub(super) low: f64,
     pub(super) high: f64,
     pub(super) rounding: f64,
 }
 
-impl Line {
+impl LinearRelaxation {
     const IDENTITY: Self = Self { slope: 1.0, low: 0.0, high: 0.0, rounding: 0.0 };
 
-    fn level(value: f64) -> Self {
+    fn new_constant(value: f64) -> Self {
         Self { slope: 0.0, low: value, high: value, rounding: 0.0 }
     }
 
     /// The line through values at both ends, and what is off it at any of `points`, between which the function is straight.
-    fn straight_between(points: &[(f64, Interval)], [least, most]: [f64; 2]) -> Self {
+    fn from_breakpoints(points: &[(f64, Interval)], [least, most]: [f64; 2]) -> Self {
         let (Some((low, at_low)), Some((high, at_high))) = (points.first(), points.last()) else {
-            return Self::level(f64::NAN);
+            return Self::new_constant(f64::NAN);
         };
         let chord = (at_high.low() - at_low.low()) / (high - low);
         let slope = if chord.is_finite() { chord.max(least).min(most) } else { 0.0 };
         let off = |&(x, value): &(f64, Interval)| value - Interval::point(slope) * Interval::point(x);
-        let off = points.iter().map(off).reduce(Interval::hull).unwrap_or(Interval::LINE);
+        let off = points.iter().map(off).reduce(Interval::hull).unwrap_or(Interval::ENTIRE);
         Self { slope, low: off.low(), high: off.high(), rounding: 0.0 }
     }
 
@@ -93,7 +93,7 @@ impl Line {
     }
 
     /// Whether the result is the same number for all.
-    pub(super) fn is_level(&self) -> bool {
+    pub(super) fn is_constant(&self) -> bool {
         self.slope == 0.0 && self.low == self.high && self.rounding == 0.0
     }
 
@@ -102,11 +102,11 @@ impl Line {
         Interval::new(self.low, self.high).map_or((0.0, f64::INFINITY), Interval::middle_and_radius)
     }
 
-    fn of(&self, x: &Form) -> Form {
+    fn apply(&self, x: &AffineForm) -> AffineForm {
         if self.is_identity() {
             return x.clone();
         }
-        let mut line = line(x, self.slope, self.low, self.high);
+        let mut line = linear_enclosure(x, self.slope, self.low, self.high);
         if self.rounding > 0.0 {
             line.widen(self.rounding);
         }
@@ -114,7 +114,7 @@ impl Line {
     }
 }
 
-impl Each {
+impl Activation {
     /// How many numbers it is for; none if for any.
     #[must_use]
     pub fn width(&self) -> Option<usize> {
@@ -126,7 +126,7 @@ impl Each {
     }
 
     /// Bound of the size of what it makes of a number whose size is at most `bound`.
-    pub(super) fn largest(&self, number: usize, bound: f64) -> f64 {
+    pub(super) fn max_magnitude(&self, number: usize, bound: f64) -> f64 {
         let of = |operands: &[f64]| operands.get(number).map_or(f64::NAN, |operand| operand.abs());
         match self {
             Self::Relu => bound,
@@ -150,7 +150,7 @@ impl Each {
     }
 
     /// Whether a narrower range could make a better line.
-    pub(super) fn bends(&self, number: usize, low: f64, high: f64) -> bool {
+    pub(super) fn is_nonlinear_on(&self, number: usize, low: f64, high: f64) -> bool {
         let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         match self {
             Self::Relu | Self::LeakyRelu(_) => low < 0.0 && high > 0.0,
@@ -165,62 +165,62 @@ impl Each {
     }
 
     /// A line for number `number` between `low` and `high`.
-    pub(super) fn line(&self, number: usize, low: f64, high: f64) -> Line {
+    pub(super) fn relaxation(&self, number: usize, low: f64, high: f64) -> LinearRelaxation {
         let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         let largest = low.abs().max(high.abs());
         match self {
-            Self::Relu if low >= 0.0 => Line::IDENTITY,
-            Self::Relu if high <= 0.0 => Line::level(0.0),
+            Self::Relu if low >= 0.0 => LinearRelaxation::IDENTITY,
+            Self::Relu if high <= 0.0 => LinearRelaxation::new_constant(0.0),
             Self::Relu => {
-                let (slope, excess) = rectifier(low, high);
-                Line { slope, low: 0.0, high: excess, rounding: 0.0 }
+                let (slope, excess) = relu_relaxation(low, high);
+                LinearRelaxation { slope, low: 0.0, high: excess, rounding: 0.0 }
             }
-            Self::LeakyRelu(_) | Self::Elu(_) if low >= 0.0 => Line::IDENTITY,
+            Self::LeakyRelu(_) | Self::Elu(_) if low >= 0.0 => LinearRelaxation::IDENTITY,
             Self::LeakyRelu(slope) => {
                 let below = |x: f64| (x, Interval::point(*slope) * Interval::point(x));
                 let above = |x: f64| (x, Interval::point(x));
                 let ends = [slope.min(1.0), slope.max(1.0)];
                 let line = if high <= 0.0 {
-                    Line { slope: *slope, low: 0.0, high: 0.0, rounding: 0.0 }
+                    LinearRelaxation { slope: *slope, low: 0.0, high: 0.0, rounding: 0.0 }
                 } else {
-                    Line::straight_between(&[below(low), above(0.0), above(high)], ends)
+                    LinearRelaxation::from_breakpoints(&[below(low), above(0.0), above(high)], ends)
                 };
-                let rounding = if *slope == 0.0 { 0.0 } else { rounded(slope.abs() * -low) + UNDERFLOW };
-                Line { rounding, ..line }
+                let rounding = if *slope == 0.0 { 0.0 } else { rounding_error(slope.abs() * -low) + UNDERFLOW };
+                LinearRelaxation { rounding, ..line }
             }
             Self::Elu(alpha) => {
-                let (slope, off) = elu_line(*alpha, low, high);
+                let (slope, off) = elu_relaxation(*alpha, low, high);
                 let rounding = alpha.abs() * ELU_ERROR + UNDERFLOW;
-                Line { slope, low: off.low(), high: off.high(), rounding }
+                LinearRelaxation { slope, low: off.low(), high: off.high(), rounding }
             }
             Self::Tanh => {
-                let (slope, off) = hyperbolic_tangent_line(low, high);
-                Line { slope, low: off.low(), high: off.high(), rounding: TANH_ERROR }
+                let (slope, off) = tanh_relaxation(low, high);
+                LinearRelaxation { slope, low: off.low(), high: off.high(), rounding: TANH_ERROR }
             }
             Self::Sigmoid => {
                 // Halves and quarters are exact, but for an underflow that is much smaller than the rounding.
-                let (slope, off) = hyperbolic_tangent_line(0.5 * low, 0.5 * high);
+                let (slope, off) = tanh_relaxation(0.5 * low, 0.5 * high);
                 let off = Interval::point(0.5) + off * Interval::point(0.5);
-                Line { slope: 0.25 * slope, low: off.low(), high: off.high(), rounding: SIGMOID_ERROR }
+                LinearRelaxation { slope: 0.25 * slope, low: off.low(), high: off.high(), rounding: SIGMOID_ERROR }
             }
             Self::Add(operands) => {
                 let a = of(operands);
-                Line { slope: 1.0, low: a, high: a, rounding: rounded(largest + a.abs()) }
+                LinearRelaxation { slope: 1.0, low: a, high: a, rounding: rounding_error(largest + a.abs()) }
             }
             Self::Multiply(operands) => {
                 let a = of(operands);
-                Line { slope: a, low: 0.0, high: 0.0, rounding: rounded(largest * a.abs()) + UNDERFLOW }
+                LinearRelaxation { slope: a, low: 0.0, high: 0.0, rounding: rounding_error(largest * a.abs()) + UNDERFLOW }
             }
             Self::Divide(operands) => {
                 let slope = 1.0 / of(operands);
                 let size = largest * slope.abs();
                 let off = size * (2.0 * f64::EPSILON);
-                Line { slope, low: -off, high: off, rounding: rounded(size) + UNDERFLOW }
+                LinearRelaxation { slope, low: -off, high: off, rounding: rounding_error(size) + UNDERFLOW }
             }
             Self::Clip { low: least, high: most } => {
                 let (least, most) = (of(least), of(most));
                 if low >= least && high <= most {
-                    return Line::IDENTITY;
+                    return LinearRelaxation::IDENTITY;
                 }
                 let cut = |x: f64| {
                     if x < least {
@@ -232,26 +232,26 @@ impl Each {
                     }
                 };
                 if high <= least || low >= most {
-                    return Line::level(cut(low));
+                    return LinearRelaxation::new_constant(cut(low));
                 }
                 let kinks = [least, most].into_iter().filter(|&kink| low < kink && kink < high);
                 let places = std::iter::once(low).chain(kinks).chain([high]);
                 let points: Vec<_> = places.map(|x| (x, Interval::point(cut(x)))).collect();
-                Line::straight_between(&points, [0.0, 1.0])
+                LinearRelaxation::from_breakpoints(&points, [0.0, 1.0])
             }
         }
     }
 
     /// What it makes of a form.
-    pub(super) fn of_form(&self, number: usize, x: &Form) -> Form {
+    pub(super) fn apply(&self, number: usize, x: &AffineForm) -> AffineForm {
         let range = x.range();
-        self.line(number, range.low(), range.high()).of(x)
+        self.relaxation(number, range.low(), range.high()).apply(x)
     }
 }
 
 /// What rounding to single precision changes a number of this size by at most.
-fn rounded(size: f64) -> f64 {
-    size * (U * (1.0 + 1e-6))
+fn rounding_error(size: f64) -> f64 {
+    size * (UNIT_ROUNDOFF * (1.0 + 1e-6))
 }
 
 #[cfg(test)]

@@ -1,20 +1,20 @@
 //! Bounds of the numbers between the layers of a network: see [`actor`](super::actor).
 
-use super::activation::Each;
-use super::actor::{Layer, U};
-use super::form::{Form, SLACK, up};
+use super::activation::Activation;
+use super::controller::{LinearLayer, UNIT_ROUNDOFF};
+use super::form::{AffineForm, SUM_REL_ERROR, round_up};
 use crate::interval::Interval;
 
 /// The inputs as matrices: a row of as many numbers as there are symbols for each of them.
-pub(super) struct Inputs {
-    symbols: usize,
+pub(super) struct InputForms {
+    symbol_count: usize,
     terms: Vec<f64>,
     rest: Vec<f64>,
     radius: Vec<f64>,
 }
 
 /// The Λᵢ and Eⱼ of all numbers, the middles, and ρ.
-pub(super) struct Bounds {
+pub(super) struct NetworkBounds {
     /// One after the other the Λᵢ of all numbers, then the Eⱼ of all numbers.
     pub(super) columns: Vec<f64>,
     pub(super) centre: Vec<f64>,
@@ -23,56 +23,56 @@ pub(super) struct Bounds {
     excess: Vec<(usize, f64)>,
 }
 
-impl Inputs {
-    pub(super) fn new(inputs: &[Form]) -> Self {
+impl InputForms {
+    pub(super) fn new(inputs: &[AffineForm]) -> Self {
         let symbols = inputs.iter().map(|form| form.terms().len()).max().unwrap_or(0);
         let row =
-            |form: &Form| form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>();
+            |form: &AffineForm| form.terms().iter().copied().chain(std::iter::repeat(0.0)).take(symbols).collect::<Vec<_>>();
         Self {
-            symbols,
+            symbol_count: symbols,
             terms: inputs.iter().flat_map(row).collect(),
-            rest: inputs.iter().map(Form::rest).collect(),
-            radius: inputs.iter().map(Form::radius).collect(),
+            rest: inputs.iter().map(AffineForm::rest).collect(),
+            radius: inputs.iter().map(AffineForm::radius).collect(),
         }
     }
 
     /// Largest |Σ Λᵢ (yᵢ - middle)|, if the same with nothing in common between the yᵢ is `apart`.
-    fn together(&self, slopes: &[f64], apart: f64) -> f64 {
-        let mut sums = vec![0.0; self.symbols];
-        for (row, &slope) in self.terms.chunks_exact(self.symbols.max(1)).zip(slopes) {
+    fn max_linear_part(&self, slopes: &[f64], apart: f64) -> f64 {
+        let mut sums = vec![0.0; self.symbol_count];
+        for (row, &slope) in self.terms.chunks_exact(self.symbol_count.max(1)).zip(slopes) {
             add_scaled(&mut sums, row, slope);
         }
         let rest: f64 = self.rest.iter().zip(slopes).map(|(rest, slope)| rest * slope.abs()).sum();
-        sums.iter().map(|sum| sum.abs()).sum::<f64>() + rest + 2.0 * SLACK * apart
+        sums.iter().map(|sum| sum.abs()).sum::<f64>() + rest + 2.0 * SUM_REL_ERROR * apart
     }
 }
 
-impl Bounds {
+impl NetworkBounds {
     /// Each input is itself.
-    pub(super) fn of_inputs(inputs: &[Form]) -> Self {
+    pub(super) fn from_inputs(inputs: &[AffineForm]) -> Self {
         let count = inputs.len();
         let identity = |i: usize| (0..count).map(move |number| f64::from(u8::from(i == number)));
         Self {
             columns: (0..count).flat_map(identity).collect(),
-            centre: inputs.iter().map(Form::centre).collect(),
+            centre: inputs.iter().map(AffineForm::centre).collect(),
             rho: vec![0.0; count],
             excess: Vec::new(),
         }
     }
 
-    fn width(&self) -> usize {
+    fn column_count(&self) -> usize {
         self.columns.len() / self.centre.len().max(1)
     }
 
     /// What a layer costs, more or less.
-    pub(super) fn operations(&self, layer: &Layer) -> u64 {
-        let width = (self.width() + self.excess.len()) as u64;
+    pub(super) fn operations(&self, layer: &LinearLayer) -> u64 {
+        let width = (self.column_count() + self.excess.len()) as u64;
         let alive = self.centre.iter().filter(|&&centre| centre != 0.0).count() as u64;
         alive * layer.outputs as u64 * (width + 2) + 1000
     }
 
     /// For each number the largest |Σ Λᵢ (yᵢ - middle)| if the yᵢ had nothing in common, and the largest |Σ Eⱼ ηⱼ|.
-    fn sizes(&self, inputs: &Inputs) -> (Vec<f64>, Vec<f64>) {
+    fn radii(&self, inputs: &InputForms) -> (Vec<f64>, Vec<f64>) {
         let numbers = self.centre.len();
         let (mut apart, mut own) = (vec![0.0; numbers], vec![0.0; numbers]);
         for (index, column) in self.columns.chunks_exact(numbers.max(1)).enumerate() {
@@ -85,11 +85,11 @@ impl Bounds {
     }
 
     /// h W + b with what single and double precision may add.
-    pub(super) fn through(&self, layer: &Layer, inputs: &Inputs) -> Self {
+    pub(super) fn apply_linear(&self, layer: &LinearLayer, inputs: &InputForms) -> Self {
         let (n, numbers, outputs) = (layer.inputs as f64 + 2.0, self.centre.len(), layer.outputs.max(1));
-        let relative = n * U / (1.0 - n * U) * (1.0 + 1e-6) + 2.0 * SLACK;
-        let width = self.width();
-        let (apart, own) = self.sizes(inputs);
+        let relative = n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
+        let width = self.column_count();
+        let (apart, own) = self.radii(inputs);
         let mut columns = vec![0.0; outputs * (width + self.excess.len())];
         let (dense, sparse) = columns.split_at_mut(outputs * width);
         let mut sparse = sparse.chunks_exact_mut(outputs);
@@ -116,28 +116,28 @@ impl Bounds {
                 add_scaled(to, weights, radius);
             }
         }
-        rho.iter_mut().for_each(|rho| *rho = up(*rho * (1.0 + SLACK)));
+        rho.iter_mut().for_each(|rho| *rho = round_up(*rho * (1.0 + SUM_REL_ERROR)));
         Self { columns, centre, rho, excess: Vec::new() }
     }
 
     /// What a function makes of each number.
-    pub(super) fn each(&mut self, each: &Each, inputs: &Inputs) {
-        self.settle();
+    pub(super) fn apply_activation(&mut self, each: &Activation, inputs: &InputForms) {
+        self.append_excess_columns();
         let numbers = self.centre.len();
-        let (apart, own) = self.sizes(inputs);
+        let (apart, own) = self.radii(inputs);
         let mut slopes = vec![0.0; inputs.radius.len()];
         for number in 0..numbers {
             let within = |by: f64| {
-                let radius = up((by + own[number] + self.rho[number]) * (1.0 + SLACK));
+                let radius = round_up((by + own[number] + self.rho[number]) * (1.0 + SUM_REL_ERROR));
                 ((self.centre[number] - radius).next_down(), (self.centre[number] + radius).next_up())
             };
             let (mut low, mut high) = within(apart[number]);
-            if each.bends(number, low, high) {
+            if each.is_nonlinear_on(number, low, high) {
                 let of_number = self.columns.iter().skip(number).step_by(numbers);
                 slopes.iter_mut().zip(of_number).for_each(|(to, from)| *to = *from);
-                (low, high) = within(inputs.together(&slopes, apart[number]));
+                (low, high) = within(inputs.max_linear_part(&slopes, apart[number]));
             }
-            let line = each.line(number, low, high);
+            let line = each.relaxation(number, low, high);
             if line.is_identity() {
                 continue;
             }
@@ -145,23 +145,23 @@ impl Bounds {
             for factor in self.columns.iter_mut().skip(number).step_by(numbers) {
                 *factor = if slope == 0.0 { 0.0 } else { *factor * slope };
             }
-            if line.is_level() {
+            if line.is_constant() {
                 (self.centre[number], self.rho[number]) = (line.low, 0.0);
                 continue;
             }
             let (middle, radius) = line.middle_and_radius();
             let size = (self.centre[number].abs() + apart[number] + own[number]) * slope.abs().max(1.0);
-            let rounding = SLACK * (size + middle.abs() + radius) + line.rounding;
+            let rounding = SUM_REL_ERROR * (size + middle.abs() + radius) + line.rounding;
             self.centre[number] = self.centre[number] * slope + middle;
-            self.rho[number] = up(self.rho[number] * slope.abs() + rounding);
+            self.rho[number] = round_up(self.rho[number] * slope.abs() + rounding);
             if radius > 0.0 {
-                self.excess.push((number, up(radius)));
+                self.excess.push((number, round_up(radius)));
             }
         }
     }
 
     /// Makes columns of what is off the lines, so that another function can follow without a product in between.
-    fn settle(&mut self) {
+    fn append_excess_columns(&mut self) {
         let numbers = self.centre.len();
         for (number, radius) in self.excess.drain(..) {
             let column = self.columns.len();
@@ -171,17 +171,17 @@ impl Bounds {
     }
 
     /// One of the numbers as a form in the inputs' symbols; none if there is no such number.
-    pub(super) fn form(mut self, number: usize, inputs: &[Form]) -> Option<Form> {
-        self.settle();
+    pub(super) fn into_form(mut self, number: usize, inputs: &[AffineForm]) -> Option<AffineForm> {
+        self.append_excess_columns();
         let (centre, rho) = (*self.centre.get(number)?, *self.rho.get(number)?);
-        let mut form = Form::constant(Interval::point(centre));
+        let mut form = AffineForm::constant(Interval::point(centre));
         let mut factors = self.columns.into_iter().skip(number).step_by(self.centre.len());
         for (input, factor) in inputs.iter().zip(factors.by_ref()) {
             let mut deviation = input.clone();
             deviation.shift(-Interval::point(input.centre()));
-            form.add(&deviation, Interval::point(factor));
+            form.add_scaled(&deviation, Interval::point(factor));
         }
-        form.widen((factors.map(f64::abs).sum::<f64>() + rho) * (1.0 + SLACK));
+        form.widen((factors.map(f64::abs).sum::<f64>() + rho) * (1.0 + SUM_REL_ERROR));
         Some(form)
     }
 }

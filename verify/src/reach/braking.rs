@@ -12,50 +12,50 @@
 //! it falls into, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as an interval.
 //! The acceleration observed is that of the step before; where members differ it is any number from -b to 0.
 
-use super::form::Form;
-use super::relax::{reciprocal, rectified, rectified_square};
+use super::form::AffineForm;
+use super::relax::{reciprocal, relu, relu_squared};
 use crate::interval::Interval;
 
 /// A vehicle that brakes to standstill from a time on.
 #[derive(Debug, Clone)]
-pub(super) struct Braking {
-    pub(super) speed: Form,
-    pub(super) rate: Form,
+pub(super) struct BrakingVehicle {
+    pub(super) speed: AffineForm,
+    pub(super) rate: AffineForm,
     /// 1 / (2 b).
-    pub(super) half_over_rate: Form,
+    pub(super) half_over_rate: AffineForm,
     /// τ / h.
-    pub(super) onset: Form,
+    pub(super) onset: AffineForm,
     pub(super) onset_range: Interval,
     /// Distance that holding the mean acceleration over the first step may cost.
-    pub(super) mean_held_m: Interval,
+    pub(super) onset_step_error_m: Interval,
 }
 
 /// Distance, speed and the acceleration of the step before.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
-    pub(super) distance: Form,
-    pub(super) speed: Form,
-    pub(super) acceleration: Form,
+pub(super) struct VehicleState {
+    pub(super) distance: AffineForm,
+    pub(super) speed: AffineForm,
+    pub(super) acceleration: AffineForm,
 }
 
-impl Seen {
+impl VehicleState {
     /// What holds those of either.
-    pub(super) fn joined(&self, other: &Self) -> Self {
+    pub(super) fn join(&self, other: &Self) -> Self {
         Self {
-            distance: self.distance.joined(&other.distance),
-            speed: self.speed.joined(&other.speed),
-            acceleration: self.acceleration.joined(&other.acceleration),
+            distance: self.distance.join(&other.distance),
+            speed: self.speed.join(&other.speed),
+            acceleration: self.acceleration.join(&other.acceleration),
         }
     }
 }
 
-impl Braking {
-    pub(super) fn new(speed: Form, rate: Form, onset: Form, onset_range: Interval, step: Interval) -> Self {
+impl BrakingVehicle {
+    pub(super) fn new(speed: AffineForm, rate: AffineForm, onset: AffineForm, onset_range: Interval, step: Interval) -> Self {
         let is_instant = onset_range.low() == onset_range.high() && onset_range.low().fract() == 0.0;
         let cost = rate.range() * step.sqr() * Interval::point(0.125);
         let mean_held_m = if is_instant { Interval::ZERO } else { -cost.max(Interval::ZERO).hull(Interval::ZERO) };
         let half_over_rate = reciprocal(&rate).scaled(Interval::point(0.5));
-        Self { speed, rate, half_over_rate, onset, onset_range, mean_held_m }
+        Self { speed, rate, half_over_rate, onset, onset_range, onset_step_error_m: mean_held_m }
     }
 
     /// Whether all members have stood for a step at instant k: from then on nothing about them changes.
@@ -66,24 +66,24 @@ impl Braking {
 
     /// What the acceleration of the step before instant k may have been, each a form of its own: none, the mean of a step in which it began to
     /// brake, or the rate. One of them is that of [`at`](Self::at) where they are one.
-    pub(super) fn accelerations(&self, k: u32, step: Interval) -> Vec<Form> {
+    pub(super) fn possible_accelerations(&self, k: u32, step: Interval) -> Vec<AffineForm> {
         let k = f64::from(k);
         let [first, last] = [self.onset_range.low(), self.onset_range.high()];
-        let since = Form::constant(Interval::point(k - 1.0)).minus(&self.onset);
+        let since = AffineForm::constant(Interval::point(k - 1.0)).minus(&self.onset);
         // A step ago, if it had begun to brake.
-        let speed = self.speed.clone().minus(&self.rate.times(&rectified(&since).scaled(step))).range();
-        let (has_begun, begins_at_instants) = (first <= k - 1.0, self.mean_held_m == Interval::ZERO);
+        let speed = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step))).range();
+        let (has_begun, begins_at_instants) = (first <= k - 1.0, self.onset_step_error_m == Interval::ZERO);
         let stands = self.speed.range().low() <= 0.0 || has_begun && speed.low() <= 0.0;
         let mut all = Vec::new();
         if last >= k || stands || self.rate.is_zero() {
-            all.push(Form::default());
+            all.push(AffineForm::default());
         }
         if let Some(share) = Interval::new(k - last.min(k), k - first.max(k - 1.0))
             && share.low() < 1.0
             && share.high() > 0.0
             && !begins_at_instants
         {
-            all.push(Form::constant(-(self.rate.range() * share.max(Interval::ZERO).min(Interval::ONE))));
+            all.push(AffineForm::constant(-(self.rate.range() * share.max(Interval::ZERO).min(Interval::ONE))));
         }
         if has_begun && speed.high() > 0.0 {
             all.push(self.rate.scaled(Interval::point(-1.0)));
@@ -92,35 +92,35 @@ impl Braking {
     }
 
     /// At instant k.
-    pub(super) fn at(&self, k: u32, step: Interval) -> Seen {
+    pub(super) fn state_at(&self, k: u32, step: Interval) -> VehicleState {
         let k = f64::from(k);
         let coasting = self.speed.scaled(Interval::point(k) * step);
         if self.onset_range.low() >= k || self.rate.is_zero() {
-            return Seen { distance: coasting, speed: self.speed.clone(), acceleration: Form::default() };
+            return VehicleState { distance: coasting, speed: self.speed.clone(), acceleration: AffineForm::default() };
         }
-        let since = Form::constant(Interval::point(k)).minus(&self.onset);
-        let free = self.speed.clone().minus(&self.rate.times(&rectified(&since).scaled(step)));
+        let since = AffineForm::constant(Interval::point(k)).minus(&self.onset);
+        let free = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step)));
         let a_step_before = free.clone().plus(&self.rate.scaled(step));
         let acceleration = if self.onset_range.high() > k - 1.0 {
-            Form::constant((-self.rate.range()).hull(Interval::ZERO))
+            AffineForm::constant((-self.rate.range()).hull(Interval::ZERO))
         } else if free.range().low() > 0.0 {
             self.rate.scaled(Interval::point(-1.0))
         } else if a_step_before.range().high() <= 0.0 {
-            Form::default()
+            AffineForm::default()
         } else {
-            Form::constant((-self.rate.range()).hull(Interval::ZERO))
+            AffineForm::constant((-self.rate.range()).hull(Interval::ZERO))
         };
         let mut distance = if free.range().high() <= 0.0 {
             let until_braking = self.speed.times(&self.onset).scaled(step);
-            until_braking.plus(&rectified_square(&self.speed).times(&self.half_over_rate))
+            until_braking.plus(&relu_squared(&self.speed).times(&self.half_over_rate))
         } else {
-            let braked = self.rate.times(&rectified_square(&since)).scaled(step.sqr() * Interval::point(0.5));
-            let reversed = rectified_square(&free.scaled(Interval::point(-1.0)));
+            let braked = self.rate.times(&relu_squared(&since)).scaled(step.sqr() * Interval::point(0.5));
+            let reversed = relu_squared(&free.scaled(Interval::point(-1.0)));
             let moving = coasting.minus(&braked);
             if reversed.is_zero() { moving } else { moving.plus(&reversed.times(&self.half_over_rate)) }
         };
-        distance.shift(self.mean_held_m);
-        Seen { distance, speed: rectified(&free), acceleration }
+        distance.shift(self.onset_step_error_m);
+        VehicleState { distance, speed: relu(&free), acceleration }
     }
 }
 

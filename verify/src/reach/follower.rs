@@ -22,46 +22,46 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::braking::Seen;
-use super::form::Form;
-use super::members::moved;
-use super::ranges::{Dimension, Ranges};
-use super::relax::{reciprocal, rectified, rectified_square};
+use super::braking::VehicleState;
+use super::form::AffineForm;
+use super::ego_set::advance_vehicle;
+use super::ranges::{BoxDimension, InitialRanges};
+use super::relax::{reciprocal, relu, relu_squared};
 use crate::Rejection;
 use crate::interval::Interval;
 
 /// A gap below this counts as this, in metres, for who drives `idm`.
-const LEAST_GAP_M: f64 = 0.01;
+const MIN_GAP_M: f64 = 0.01;
 
 /// More than a simulator in double precision is off, within a kilometre of its origin, in what it shows to who follows, in m and m/s.
-const ROUNDED: f64 = 1e-9;
+const OBSERVATION_ROUNDING: f64 = 1e-9;
 
 /// Who drives behind.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Follower {
+pub enum FollowerModel {
     /// It holds its speed until its time to collision falls below this, in seconds, and then brakes to standstill.
     Latched {
         /// θ.
         ttc_s: f64,
     },
     /// It follows by a law.
-    Driven(Law),
+    ByLaw(FollowerLaw),
 }
 
 /// A law by which somebody follows, in SI units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Law {
+pub enum FollowerLaw {
     /// The Intelligent Driver Model.
-    Idm(Idm),
+    Idm(IdmLaw),
     /// Adaptive cruise control with an emergency brake.
-    AccAeb(AccAeb),
+    AccAeb(AccAebLaw),
 }
 
 /// Numbers of the Intelligent Driver Model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Idm {
+pub struct IdmLaw {
     /// v₀, in m/s.
     pub desired_speed_mps: f64,
     /// T, in seconds.
@@ -79,7 +79,7 @@ pub struct Idm {
 /// Numbers of adaptive cruise control with an emergency brake.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct AccAeb {
+pub struct AccAebLaw {
     /// θ, in seconds.
     pub ttc_s: f64,
     /// T, in seconds.
@@ -98,7 +98,7 @@ pub struct AccAeb {
     pub max_accel_mps2: f64,
 }
 
-impl fmt::Display for Idm {
+impl fmt::Display for IdmLaw {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, .. } = self;
         write!(
@@ -109,7 +109,7 @@ impl fmt::Display for Idm {
     }
 }
 
-impl fmt::Display for Law {
+impl fmt::Display for FollowerLaw {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Idm(law) => law.fmt(out),
@@ -129,10 +129,10 @@ impl fmt::Display for Law {
     }
 }
 
-impl Law {
+impl FollowerLaw {
     /// # Errors
     /// [`Rejection`] if a number of it is negative or infinite, or 0 where it divides.
-    pub(super) fn validated(self) -> Result<Self, Rejection> {
+    pub(super) fn validate(self) -> Result<Self, Rejection> {
         let (numbers, divisors): (Vec<f64>, Vec<f64>) = match self {
             Self::Idm(law) => (
                 vec![law.time_headway_s, law.standstill_gap_m, law.max_accel_mps2],
@@ -171,200 +171,200 @@ impl Law {
 }
 
 /// A follower by a law, behind all egos of a set.
-pub(super) struct Behind<'a> {
-    law: &'a Law,
+pub(super) struct LawFollower<'a> {
+    law: &'a FollowerLaw,
     /// u of `acc-aeb`, b, and the gap at the start.
-    set_speed: Form,
-    brake: Form,
-    start_gap: &'a Form,
+    set_speed: AffineForm,
+    brake: AffineForm,
+    start_gap: &'a AffineForm,
     step: Interval,
 }
 
 /// What a law sees at an instant.
-pub(super) struct Sight {
-    gap: Form,
-    speed: Form,
+pub(super) struct LawInput {
+    gap: AffineForm,
+    speed: AffineForm,
     /// v - w.
-    closing: Form,
+    closing: AffineForm,
     /// No speed that is seen is smaller, in m/s: nobody reverses, but what is seen may be off.
-    least_mps: f64,
+    min_speed_mps: f64,
 }
 
-impl Sight {
-    fn of(gap: Form, speed: Form, closing: Form) -> Self {
-        Self::within([gap, speed, closing], [0.0; 3])
+impl LawInput {
+    fn new(gap: AffineForm, speed: AffineForm, closing: AffineForm) -> Self {
+        Self::with_errors([gap, speed, closing], [0.0; 3])
     }
 
     /// The same of gap, speed and v - w that may be off by so much more.
-    pub(super) fn within(mut seen: [Form; 3], errors: [f64; 3]) -> Self {
-        seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(ROUNDED + error));
+    pub(super) fn with_errors(mut seen: [AffineForm; 3], errors: [f64; 3]) -> Self {
+        seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(OBSERVATION_ROUNDING + error));
         let ([gap, speed, closing], [_, of_speed, _]) = (seen, errors);
-        Self { gap, speed, closing, least_mps: -of_speed }
+        Self { gap, speed, closing, min_speed_mps: -of_speed }
     }
 }
 
-impl<'a> Behind<'a> {
-    pub(super) fn new(law: &'a Law, ranges: &Ranges, start_gap: &'a Form, step: Interval) -> Self {
-        let get = |dimension: Dimension| Form::symbol(dimension as usize, ranges.get(dimension));
-        let speed = get(Dimension::FollowerSpeedMps);
-        let closing = speed.clone().minus(&get(Dimension::EgoSpeedMps));
-        let start = Sight::of(start_gap.clone(), speed.clone(), closing);
+impl<'a> LawFollower<'a> {
+    pub(super) fn new(law: &'a FollowerLaw, ranges: &InitialRanges, start_gap: &'a AffineForm, step: Interval) -> Self {
+        let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, ranges.get(dimension));
+        let speed = get(BoxDimension::FollowerSpeedMps);
+        let closing = speed.clone().minus(&get(BoxDimension::EgoSpeedMps));
+        let start = LawInput::new(start_gap.clone(), speed.clone(), closing);
         let set_speed = match law {
-            Law::AccAeb(law) if law.guard(&start).range().low() < 0.0 => {
-                Form::constant(speed.range().hull(Interval::ZERO))
+            FollowerLaw::AccAeb(law) if law.guard(&start).range().low() < 0.0 => {
+                AffineForm::constant(speed.range().hull(Interval::ZERO))
             }
             _ => speed,
         };
-        Self { law, set_speed, brake: get(Dimension::FollowerBrakeMps2), start_gap, step }
+        Self { law, set_speed, brake: get(BoxDimension::FollowerBrakeMps2), start_gap, step }
     }
 
     /// The gap to an ego.
-    pub(super) fn gap(&self, ego: &Seen, own: &Seen) -> Form {
+    pub(super) fn gap(&self, ego: &VehicleState, own: &VehicleState) -> AffineForm {
         self.start_gap.clone().plus(&ego.distance).minus(&own.distance)
     }
 
     /// A follower a step later, and the acceleration that it asks for.
-    pub(super) fn stepped(&self, own: &Seen, ego: &Seen) -> (Seen, Form) {
-        let acceleration = self.acceleration(&self.sight(ego, own));
-        (stepped(own, &acceleration, self.step), acceleration)
+    pub(super) fn advance(&self, own: &VehicleState, ego: &VehicleState) -> (VehicleState, AffineForm) {
+        let acceleration = self.acceleration(&self.law_input(ego, own));
+        (step_follower(own, &acceleration, self.step), acceleration)
     }
 
-    fn acceleration(&self, sight: &Sight) -> Form {
+    fn acceleration(&self, sight: &LawInput) -> AffineForm {
         let hardest = || self.brake.scaled(Interval::point(-1.0));
         match self.law {
-            Law::Idm(law) => law.within(sight, &self.brake),
-            Law::AccAeb(law) => {
+            FollowerLaw::Idm(law) => law.acceleration(sight, &self.brake),
+            FollowerLaw::AccAeb(law) => {
                 let guard = law.guard(sight).range();
                 if guard.high() < 0.0 {
-                    return self.able(&hardest());
+                    return self.clamp_to_limits(&hardest());
                 }
-                let following = self.able(&law.followed(sight, &self.set_speed));
+                let following = self.clamp_to_limits(&law.acc_acceleration(sight, &self.set_speed));
                 if guard.low() >= 0.0 {
                     return following;
                 }
-                Form::constant(following.range().hull(-self.brake.range()))
+                AffineForm::constant(following.range().hull(-self.brake.range()))
             }
         }
     }
 
-    fn sight(&self, ego: &Seen, own: &Seen) -> Sight {
-        Sight::of(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
+    fn law_input(&self, ego: &VehicleState, own: &VehicleState) -> LawInput {
+        LawInput::new(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
     }
 
     /// What the vehicle does of what is asked for.
-    fn able(&self, wanted: &Form) -> Form {
-        able(wanted, &self.brake, self.law.max_accel_mps2())
+    fn clamp_to_limits(&self, wanted: &AffineForm) -> AffineForm {
+        clamp_to_limits(wanted, &self.brake, self.law.max_accel_mps2())
     }
 }
 
-impl Idm {
+impl IdmLaw {
     /// What a vehicle does of what it asks for that brakes at up to `brake`.
-    fn within(&self, sight: &Sight, brake: &Form) -> Form {
-        let (acceleration, plain) = self.bounds(sight, brake);
+    fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
+        let (acceleration, plain) = self.acceleration_bounds(sight, brake);
         // Of a gap that may be next to nothing a line says less than plain numbers do.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
-        if is_wider { Form::constant(plain) } else { acceleration }
+        if is_wider { AffineForm::constant(plain) } else { acceleration }
     }
 
     /// The same, as a form and by plain numbers.
-    pub(super) fn bounds(&self, sight: &Sight, brake: &Form) -> (Form, Interval) {
-        let acceleration = able(&self.wanted(sight, brake), brake, self.max_accel_mps2);
-        (acceleration, self.plainly(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
+    pub(super) fn acceleration_bounds(&self, sight: &LawInput, brake: &AffineForm) -> (AffineForm, Interval) {
+        let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
+        (acceleration, self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)))
     }
 
-    fn wanted(&self, Sight { gap, speed, closing, least_mps }: &Sight, brake: &Form) -> Form {
+    fn desired_acceleration(&self, LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput, brake: &AffineForm) -> AffineForm {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
-        if gap.range().low() <= LEAST_GAP_M {
+        if gap.range().low() <= MIN_GAP_M {
             // It wants at most A, and is not let brake harder than it can.
-            return Form::constant((-brake.range()).hull(accel));
+            return AffineForm::constant((-brake.range()).hull(accel));
         }
         let mut wants = speed.scaled(point(self.time_headway_s));
-        wants.add(&speed.times(closing), self.over_twice_mean());
-        let mut gap_wanted = rectified(&wants);
+        wants.add_scaled(&speed.times(closing), self.inverse_twice_geometric_mean());
+        let mut gap_wanted = relu(&wants);
         gap_wanted.shift(point(self.standstill_gap_m));
         let share = gap_wanted.times(&reciprocal(gap));
         let of_desired = speed.scaled(Interval::ONE.over(point(self.desired_speed_mps)));
-        let mut fourth = rectified_square(&rectified_square(&of_desired));
+        let mut fourth = relu_squared(&relu_squared(&of_desired));
         if *least_mps < 0.0 {
             // Of a speed below 0 it is not 0.
             fourth.shift(Interval::ZERO.hull(point(*least_mps).over(point(self.desired_speed_mps)).sqr().sqr()));
         }
-        let taken = fourth.plus(&rectified_square(&share));
-        Form::constant(accel).minus(&taken.scaled(accel))
+        let taken = fourth.plus(&relu_squared(&share));
+        AffineForm::constant(accel).minus(&taken.scaled(accel))
     }
 
     /// The same of numbers that have nothing to do with each other.
-    fn plainly(&self, Sight { gap, speed, closing, least_mps }: &Sight) -> Interval {
+    fn desired_acceleration_interval(&self, LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput) -> Interval {
         let point = Interval::point;
-        let (speed, gap) = (speed.range().max(point(*least_mps)), gap.range().max(point(LEAST_GAP_M)));
-        let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.over_twice_mean();
+        let (speed, gap) = (speed.range().max(point(*least_mps)), gap.range().max(point(MIN_GAP_M)));
+        let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.inverse_twice_geometric_mean();
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();
         point(self.accel_mps2) * (Interval::ONE - fourth - share.sqr())
     }
 
     /// 1 / (2 √(A B)).
-    fn over_twice_mean(&self) -> Interval {
+    fn inverse_twice_geometric_mean(&self) -> Interval {
         let mean = (Interval::point(self.accel_mps2) * Interval::point(self.comfortable_brake_mps2)).sqrt();
         Interval::ONE.over(Interval::point(2.0) * mean)
     }
 }
 
-impl AccAeb {
+impl AccAebLaw {
     /// Below 0 the emergency brake fires.
-    fn guard(&self, Sight { gap, closing, .. }: &Sight) -> Form {
+    fn guard(&self, LawInput { gap, closing, .. }: &LawInput) -> AffineForm {
         let mut guard = gap.clone();
-        guard.add(closing, -Interval::point(self.ttc_s));
+        guard.add_scaled(closing, -Interval::point(self.ttc_s));
         guard
     }
 
     /// What it asks for where the emergency brake does not fire.
-    fn followed(&self, Sight { gap, speed, closing, .. }: &Sight, set_speed: &Form) -> Form {
+    fn acc_acceleration(&self, LawInput { gap, speed, closing, .. }: &LawInput, set_speed: &AffineForm) -> AffineForm {
         let point = Interval::point;
         let gain = point(self.speed_gain_per_s);
         let cruise = set_speed.clone().minus(speed).scaled(gain);
         let mut spacing = gap.clone();
         spacing.shift(-point(self.standstill_gap_m));
-        spacing.add(speed, -point(self.time_headway_s));
+        spacing.add_scaled(speed, -point(self.time_headway_s));
         let mut follow = spacing.scaled(point(self.gap_gain_per_s2));
-        follow.add(closing, -gain);
-        let least = Form::constant(-point(self.comfort_brake_mps2));
-        let most = Form::constant(point(self.comfort_accel_mps2));
-        smaller(&larger(&smaller(&cruise, &follow), &least), &most)
+        follow.add_scaled(closing, -gain);
+        let least = AffineForm::constant(-point(self.comfort_brake_mps2));
+        let most = AffineForm::constant(point(self.comfort_accel_mps2));
+        min_form(&max_form(&min_form(&cruise, &follow), &least), &most)
     }
 }
 
 /// What a vehicle does of what is asked for, that brakes at up to `brake` and accelerates at up to a number.
-fn able(wanted: &Form, brake: &Form, max_accel_mps2: f64) -> Form {
-    let most = Form::constant(Interval::point(max_accel_mps2));
-    smaller(&larger(wanted, &brake.scaled(Interval::point(-1.0))), &most)
+fn clamp_to_limits(wanted: &AffineForm, brake: &AffineForm, max_accel_mps2: f64) -> AffineForm {
+    let most = AffineForm::constant(Interval::point(max_accel_mps2));
+    min_form(&max_form(wanted, &brake.scaled(Interval::point(-1.0))), &most)
 }
 
 /// The larger of two: b + max(0, a - b).
-fn larger(a: &Form, b: &Form) -> Form {
+fn max_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
     let beyond = a.clone().minus(b);
-    if beyond.range().low() >= 0.0 { a.clone() } else { b.clone().plus(&rectified(&beyond)) }
+    if beyond.range().low() >= 0.0 { a.clone() } else { b.clone().plus(&relu(&beyond)) }
 }
 
 /// The smaller of two.
-fn smaller(a: &Form, b: &Form) -> Form {
-    let negative = |form: &Form| form.scaled(Interval::point(-1.0));
-    negative(&larger(&negative(a), &negative(b)))
+fn min_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
+    let negative = |form: &AffineForm| form.scaled(Interval::point(-1.0));
+    negative(&max_form(&negative(a), &negative(b)))
 }
 
 /// A follower a step later, if it asks for an acceleration: distance and speed then, and the acceleration that is seen of it.
-fn stepped(from: &Seen, wanted: &Form, step: Interval) -> Seen {
-    let later = moved(from, wanted, step);
+fn step_follower(from: &VehicleState, wanted: &AffineForm, step: Interval) -> VehicleState {
+    let later = advance_vehicle(from, wanted, step);
     let acceleration = if from.speed.is_zero() {
         // Who stands accelerates at max(0, u).
-        rectified(wanted)
+        relu(wanted)
     } else if from.speed.range().low() > 0.0 || wanted.range().low() >= 0.0 {
         wanted.clone()
     } else {
-        Form::constant(wanted.range().hull(Interval::ZERO))
+        AffineForm::constant(wanted.range().hull(Interval::ZERO))
     };
-    Seen { acceleration, ..later }
+    VehicleState { acceleration, ..later }
 }
 
 #[cfg(test)]

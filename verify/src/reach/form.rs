@@ -12,28 +12,28 @@
 use crate::interval::Interval;
 
 /// More than the relative error of a sum of 8500 products, (8500 + 2) 2⁻⁵³.
-pub(super) const SLACK: f64 = 1e-12;
+pub(super) const SUM_REL_ERROR: f64 = 1e-12;
 
 /// An upper bound of a number that is not negative and was computed with at most five roundings.
-pub(super) fn up(computed: f64) -> f64 {
+pub(super) fn round_up(computed: f64) -> f64 {
     computed * (1.0 + 1e-15) + 1e-300
 }
 
 /// What is not worth a symbol.
-const NEXT_TO_NOTHING: f64 = 1e-9;
+const NEGLIGIBLE_REST: f64 = 1e-9;
 
 /// c + Σ aᵢ εᵢ + ρ.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Form {
+pub struct AffineForm {
     centre: f64,
     terms: Vec<f64>,
     rest: f64,
 }
 
-impl Form {
+impl AffineForm {
     /// The whole line.
     #[must_use]
-    pub fn line() -> Self {
+    pub fn entire() -> Self {
         Self { centre: 0.0, terms: Vec::new(), rest: f64::INFINITY }
     }
 
@@ -48,13 +48,13 @@ impl Form {
     /// The same member of an interval wherever `symbol` is used.
     #[must_use]
     pub fn symbol(symbol: usize, value: Interval) -> Self {
-        Self::constant(value).settled(symbol)
+        Self::constant(value).with_rest_as_symbol(symbol)
     }
 
     /// The same set with `rest` as a term of its own, unless it is next to nothing: `symbol` must be used by no other form.
     #[must_use]
-    pub fn settled(mut self, symbol: usize) -> Self {
-        if self.rest > NEXT_TO_NOTHING {
+    pub fn with_rest_as_symbol(mut self, symbol: usize) -> Self {
+        if self.rest > NEGLIGIBLE_REST {
             self.terms.resize(self.terms.len().max(symbol + 1), 0.0);
             self.terms[symbol] = self.rest;
             self.rest = 0.0;
@@ -83,7 +83,7 @@ impl Form {
     /// Largest distance from c.
     #[must_use]
     pub fn radius(&self) -> f64 {
-        up((self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest) * (1.0 + SLACK))
+        round_up((self.terms.iter().map(|term| term.abs()).sum::<f64>() + self.rest) * (1.0 + SUM_REL_ERROR))
     }
 
     /// All its members.
@@ -103,7 +103,7 @@ impl Form {
 
     /// Adds what may be any number from -`by` to `by`.
     pub fn widen(&mut self, by: f64) {
-        self.rest = up(self.rest + by);
+        self.rest = round_up(self.rest + by);
     }
 
     /// Adds a member of an interval.
@@ -118,7 +118,7 @@ impl Form {
     }
 
     /// Adds another form times a number.
-    pub fn add(&mut self, other: &Self, factor: Interval) {
+    pub fn add_scaled(&mut self, other: &Self, factor: Interval) {
         if other.is_zero() {
             return;
         }
@@ -145,28 +145,28 @@ impl Form {
     #[must_use]
     pub fn scaled(&self, factor: Interval) -> Self {
         let mut scaled = Self::default();
-        scaled.add(self, factor);
+        scaled.add_scaled(self, factor);
         scaled
     }
 
     /// The sum.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
-        self.add(other, Interval::point(1.0));
+        self.add_scaled(other, Interval::point(1.0));
         self
     }
 
     /// The difference.
     #[must_use]
     pub fn minus(mut self, other: &Self) -> Self {
-        self.add(other, Interval::point(-1.0));
+        self.add_scaled(other, Interval::point(-1.0));
         self
     }
 
     /// A form that holds what either holds, for the same values of the symbols. Of each term it keeps what the two have in common, so
     /// that its range is no wider than the ranges of both together.
     #[must_use]
-    pub fn joined(&self, other: &Self) -> Self {
+    pub fn join(&self, other: &Self) -> Self {
         if self == other {
             return self.clone();
         }
@@ -179,7 +179,7 @@ impl Form {
     }
 
     /// Puts other terms in the place of those from a symbol on, and adds what may be any number from -`by` to `by`.
-    pub(super) fn replace(&mut self, from: usize, terms: impl Iterator<Item = f64>, by: f64) {
+    pub(super) fn replace_terms(&mut self, from: usize, terms: impl Iterator<Item = f64>, by: f64) {
         self.terms.resize(from, 0.0);
         self.terms.extend(terms);
         if by != 0.0 {
@@ -192,10 +192,10 @@ impl Form {
     pub fn times(&self, other: &Self) -> Self {
         let mut product = other.scaled(Interval::point(self.centre));
         let deviation = Self { centre: 0.0, ..self.clone() };
-        product.add(&deviation, Interval::point(other.centre));
+        product.add_scaled(&deviation, Interval::point(other.centre));
         let beyond = self.radius() * other.radius();
         if !self.is_zero() && !other.is_zero() {
-            product.widen(up(beyond));
+            product.widen(round_up(beyond));
         }
         product
     }

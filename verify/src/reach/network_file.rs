@@ -18,35 +18,35 @@
 
 use serde::Deserialize;
 
-use super::activation::Each;
-use super::actor::{Actor, Input, Layer, OBSERVED, Source, Step};
-use super::container::{Container, MOST_NUMBERS, WIDEST_LAYER};
+use super::activation::Activation;
+use super::controller::{NeuralController, ControllerInput, LinearLayer, OBSERVATION_SIZE, NetworkFileSource, NetworkLayer};
+use super::safetensors::{SafetensorsFile, MAX_NUMBERS, MAX_LAYER_WIDTH};
 use crate::canonical::is_sha256;
 
 /// The only version of the text that describes a network.
 const VERSION: u32 = 1;
 /// Its place in the metadata.
-const KEY: &str = "crumple_network";
+const METADATA_KEY: &str = "crumple_network";
 /// Most steps that are read.
-const MOST_STEPS: usize = 256;
+const MAX_STEPS: usize = 256;
 
 /// The text that describes a network.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Header {
+struct NetworkFileHeader {
     version: u32,
-    source: Source,
-    inputs: Vec<Seen>,
-    steps: Vec<Done>,
-    output: Answered,
+    source: NetworkFileSource,
+    inputs: Vec<NetworkFileInput>,
+    steps: Vec<NetworkFileStep>,
+    output: NetworkFileOutput,
     empty_gap_m: f64,
     decision_interval_s: f64,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Seen {
-    quantity: Option<Quantity>,
+struct NetworkFileInput {
+    quantity: Option<NetworkFileQuantity>,
     constant: Option<f64>,
     offset: f64,
     scale: f64,
@@ -58,7 +58,7 @@ struct Seen {
 /// Those quantities that are affine functions of what is observed.
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
-enum Quantity {
+enum NetworkFileQuantity {
     SpeedMps,
     AccelerationMps2,
     GapAheadM,
@@ -75,7 +75,7 @@ enum Quantity {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Done {
+enum NetworkFileStep {
     Linear(usize),
     Relu,
     LeakyRelu(f64),
@@ -90,7 +90,7 @@ enum Done {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Answered {
+struct NetworkFileOutput {
     answer: usize,
     scale_mps2: f64,
     offset_mps2: f64,
@@ -98,9 +98,9 @@ struct Answered {
     high_mps2: f64,
 }
 
-impl Quantity {
+impl NetworkFileQuantity {
     /// What each observed number is multiplied with.
-    fn of(self) -> [f64; OBSERVED] {
+    fn coefficients(self) -> [f64; OBSERVATION_SIZE] {
         // Gap ahead, gap behind, speed ahead, own, behind, acceleration ahead, own, behind.
         match self {
             Self::GapAheadM => [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -113,18 +113,18 @@ impl Quantity {
             Self::AccelerationBehindMps2 => [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
             Self::RelativeSpeedAheadMps => [0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0],
             Self::RelativeSpeedBehindMps => [0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0],
-            Self::IsAhead | Self::IsBehind => [0.0; OBSERVED],
+            Self::IsAhead | Self::IsBehind => [0.0; OBSERVATION_SIZE],
         }
     }
 
-    fn is_of_the_one_behind(self) -> bool {
+    fn is_about_follower(self) -> bool {
         matches!(
             self,
             Self::GapBehindM | Self::SpeedBehindMps | Self::RelativeSpeedBehindMps | Self::AccelerationBehindMps2
         )
     }
 
-    fn is_of_the_one_ahead(self) -> bool {
+    fn is_about_leader(self) -> bool {
         matches!(
             self,
             Self::GapAheadM | Self::SpeedAheadMps | Self::RelativeSpeedAheadMps | Self::AccelerationAheadMps2
@@ -132,144 +132,144 @@ impl Quantity {
     }
 }
 
-impl Seen {
-    fn input(&self) -> Result<Input, &'static str> {
+impl NetworkFileInput {
+    fn to_controller_input(&self) -> Result<ControllerInput, &'static str> {
         let Self { quantity, constant, offset, scale, low, high, absent } = *self;
         let given = [Some(offset), Some(scale), Some(low), Some(high), constant, absent];
         if !given.into_iter().flatten().all(f64::is_finite) || scale == 0.0 || low > high {
             return Err("has numbers that make no sense");
         }
         let (of, constant, absent) = match (quantity, constant) {
-            (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVED], constant, None),
-            (Some(quantity @ (Quantity::IsAhead | Quantity::IsBehind)), None) if absent.is_none() => {
+            (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVATION_SIZE], constant, None),
+            (Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)), None) if absent.is_none() => {
                 // There always is a vehicle ahead.
-                let absent = matches!(quantity, Quantity::IsBehind).then_some(0.0);
-                (quantity.of(), 1.0, absent)
+                let absent = matches!(quantity, NetworkFileQuantity::IsBehind).then_some(0.0);
+                (quantity.coefficients(), 1.0, absent)
             }
-            (Some(quantity), None) if quantity.is_of_the_one_behind() => (quantity.of(), 0.0, absent),
-            (Some(quantity), None) if quantity.is_of_the_one_ahead() => (quantity.of(), 0.0, None),
-            (Some(quantity), None) if absent.is_none() => (quantity.of(), 0.0, None),
+            (Some(quantity), None) if quantity.is_about_follower() => (quantity.coefficients(), 0.0, absent),
+            (Some(quantity), None) if quantity.is_about_leader() => (quantity.coefficients(), 0.0, None),
+            (Some(quantity), None) if absent.is_none() => (quantity.coefficients(), 0.0, None),
             _ => return Err("must be a quantity or a constant, and `absent` is for what is seen of another vehicle"),
         };
-        Ok(Input { of, constant, absent, offset, scale, low, high })
+        Ok(ControllerInput { coefficients: of, constant, absent_value: absent, offset, scale, low, high })
     }
 }
 
-impl Header {
+impl NetworkFileHeader {
     fn check(&self) -> Result<(), String> {
         let Self { version, source, inputs, steps, output, empty_gap_m, decision_interval_s } = self;
         if *version != VERSION {
-            return Err(format!("{KEY}: version {version} is not known, only {VERSION}"));
+            return Err(format!("{METADATA_KEY}: version {version} is not known, only {VERSION}"));
         }
         if !is_sha256(&source.sha256) {
-            return Err(format!("{KEY}: source: `sha256` is no SHA-256"));
+            return Err(format!("{METADATA_KEY}: source: `sha256` is no SHA-256"));
         }
-        if !(1..=WIDEST_LAYER).contains(&inputs.len()) || steps.len() > MOST_STEPS {
+        if !(1..=MAX_LAYER_WIDTH).contains(&inputs.len()) || steps.len() > MAX_STEPS {
             return Err("describes too large a network".to_owned());
         }
         let is_positive = |value: f64| value > 0.0 && value.is_finite();
         if !is_positive(*empty_gap_m) || !is_positive(*decision_interval_s) {
-            return Err(format!("{KEY}: `empty_gap_m` and `decision_interval_s` must be positive"));
+            return Err(format!("{METADATA_KEY}: `empty_gap_m` and `decision_interval_s` must be positive"));
         }
-        let Answered { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = output;
+        let NetworkFileOutput { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = output;
         let is_finite = [scale_mps2, offset_mps2, low_mps2, high_mps2].into_iter().all(|value| value.is_finite());
         if is_finite && low_mps2 < high_mps2 {
             Ok(())
         } else {
-            Err(format!("{KEY}: output: numbers that are not finite and in order"))
+            Err(format!("{METADATA_KEY}: output: numbers that are not finite and in order"))
         }
     }
 }
 
 /// The network that a text describes, of the tensors of a file.
-pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String> {
-    let header: Header = serde_json::from_str(text).map_err(|error| format!("{KEY}: {error}"))?;
+pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
+    let header: NetworkFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
     let inputs = header
         .inputs
         .iter()
         .enumerate()
-        .map(|(index, seen)| seen.input().map_err(|problem| format!("{KEY}: inputs[{index}]: {problem}")));
+        .map(|(index, seen)| seen.to_controller_input().map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}")));
     let inputs = inputs.collect::<Result<Vec<_>, _>>()?;
     let mut steps = Vec::new();
     let (mut width, mut numbers) = (inputs.len(), inputs.len());
     for (index, done) in header.steps.iter().enumerate() {
-        let step = done.step(index, width, file)?;
+        let step = done.read_layer(index, width, file)?;
         match &step {
-            Step::Linear(layer) => width = layer.outputs,
+            NetworkLayer::Linear(layer) => width = layer.outputs,
             // It leaves a symbol of each number at most.
-            Step::Each(_) => numbers += width,
+            NetworkLayer::Activation(_) => numbers += width,
         }
-        if numbers > MOST_NUMBERS {
+        if numbers > MAX_NUMBERS {
             return Err("describes too large a network".to_owned());
         }
         steps.push(step);
     }
-    let Answered { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 } = header.output;
+    let NetworkFileOutput { answer, scale_mps2, offset_mps2, low_mps2, high_mps2 } = header.output;
     if answer >= width {
-        return Err(format!("{KEY}: output: there is no answer {answer}"));
+        return Err(format!("{METADATA_KEY}: output: there is no answer {answer}"));
     }
-    let mut actor = Actor {
+    let mut actor = NeuralController {
         inputs,
-        steps,
-        answer,
+        layers: steps,
+        output_index: answer,
         scale_mps2,
         offset_mps2,
-        action_mps2: [low_mps2, high_mps2],
-        is_cut: true,
-        departs_from: None,
+        action_bounds_mps2: [low_mps2, high_mps2],
+        is_clipped: true,
+        residual_over: None,
         empty_gap_m: header.empty_gap_m,
         decision_interval_s: header.decision_interval_s,
         source: Some(header.source),
     };
     // Multiplying and adding in double precision keeps order: what the largest answers do not leave, none does. A sum may round up.
-    let is_last = |each: &Each| matches!(each, Each::Tanh | Each::Sigmoid | Each::Clip { .. });
-    if let (Some(Step::Each(each)), Ok(largest)) = (actor.steps.last(), actor.largest_answer())
+    let is_last = |each: &Activation| matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. });
+    if let (Some(NetworkLayer::Activation(each)), Ok(largest)) = (actor.layers.last(), actor.max_output_magnitude())
         && is_last(each)
     {
         let farthest = (scale_mps2 * largest).abs();
-        actor.is_cut = !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
+        actor.is_clipped = !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
     }
     Ok(actor)
 }
 
-impl Done {
-    fn step(&self, index: usize, width: usize, file: &mut Container<'_>) -> Result<Step, String> {
-        let wrong = |problem: &str| Err(format!("{KEY}: steps[{index}]: {problem}"));
-        let mut tensor = |name: &str, shape: &[usize]| file.tensor(&format!("steps.{index}.{name}"), shape);
+impl NetworkFileStep {
+    fn read_layer(&self, index: usize, width: usize, file: &mut SafetensorsFile<'_>) -> Result<NetworkLayer, String> {
+        let wrong = |problem: &str| Err(format!("{METADATA_KEY}: steps[{index}]: {problem}"));
+        let mut tensor = |name: &str, shape: &[usize]| file.take_tensor(&format!("steps.{index}.{name}"), shape);
         // A number of the network: one of single precision.
         let is_single = |number: f64| number.is_finite() && f64::from(number as f32) == number;
-        Ok(Step::Each(match *self {
+        Ok(NetworkLayer::Activation(match *self {
             Self::Linear(outputs) => {
-                if !(1..=WIDEST_LAYER).contains(&outputs) || width > WIDEST_LAYER {
+                if !(1..=MAX_LAYER_WIDTH).contains(&outputs) || width > MAX_LAYER_WIDTH {
                     return wrong("is too wide");
                 }
                 let (weights, biases) = (tensor("weight", &[width, outputs])?, tensor("bias", &[outputs])?);
-                return Ok(Step::Linear(Layer { inputs: width, outputs, weights, biases }));
+                return Ok(NetworkLayer::Linear(LinearLayer { inputs: width, outputs, weights, biases }));
             }
-            Self::Relu => Each::Relu,
+            Self::Relu => Activation::Relu,
             Self::LeakyRelu(number) | Self::Elu(number) if !is_single(number) => {
                 return wrong("is no number of single precision");
             }
-            Self::LeakyRelu(slope) => Each::LeakyRelu(slope),
-            Self::Elu(alpha) => Each::Elu(alpha),
-            Self::Tanh => Each::Tanh,
-            Self::Sigmoid => Each::Sigmoid,
-            Self::Add => Each::Add(tensor("operand", &[width])?),
-            Self::Multiply => Each::Multiply(tensor("operand", &[width])?),
+            Self::LeakyRelu(slope) => Activation::LeakyRelu(slope),
+            Self::Elu(alpha) => Activation::Elu(alpha),
+            Self::Tanh => Activation::Tanh,
+            Self::Sigmoid => Activation::Sigmoid,
+            Self::Add => Activation::Add(tensor("operand", &[width])?),
+            Self::Multiply => Activation::Multiply(tensor("operand", &[width])?),
             Self::Divide => {
                 let operands = tensor("operand", &[width])?;
                 if operands.contains(&0.0) {
                     return wrong("divides by 0");
                 }
-                Each::Divide(operands)
+                Activation::Divide(operands)
             }
             Self::Clip => {
                 let (low, high) = (tensor("low", &[width])?, tensor("high", &[width])?);
                 if !low.iter().zip(&high).all(|(low, high)| low <= high) {
                     return wrong("has a lower limit above the upper one");
                 }
-                Each::Clip { low, high }
+                Activation::Clip { low, high }
             }
         }))
     }

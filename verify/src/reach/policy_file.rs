@@ -2,31 +2,31 @@
 
 use serde::Deserialize;
 
-use super::actor::{Actor, Layer, OBSERVED, Own};
-use super::container::{Container, MOST_NUMBERS, WIDEST_LAYER};
-use super::departure::Departure;
-use super::follower::Idm;
-use crate::canonical::NoNameTwice;
+use super::controller::{NeuralController, LinearLayer, OBSERVATION_SIZE, NativePolicy};
+use super::safetensors::{SafetensorsFile, MAX_NUMBERS, MAX_LAYER_WIDTH};
+use super::residual::ResidualPolicy;
+use super::follower::IdmLaw;
+use crate::canonical::UniqueKeys;
 
 /// The only version of the text that describes a policy.
 const VERSION: u32 = 1;
 /// Its place in the metadata.
-const KEY: &str = "crumple_policy";
+const METADATA_KEY: &str = "crumple_policy";
 /// What a policy may have looked through in training.
 const ESTIMATORS: [&str; 2] = ["kalman", "truth"];
 /// Deepest network that is read.
-const MOST_LAYERS: usize = 16;
+const MAX_LAYERS: usize = 16;
 
 /// The text that describes a policy; all of its fields are read, as the simulator wants them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Header {
+struct PolicyFileHeader {
     version: u32,
     #[serde(rename = "crumple")]
     _crumple: String,
     hidden: Vec<usize>,
     observation: Scaling,
-    action: Bounds,
+    action: PolicyFileAction,
     decision_interval_s: f64,
     estimator: String,
     #[serde(rename = "seed")]
@@ -34,14 +34,14 @@ struct Header {
     #[serde(rename = "episode")]
     _episode: u64,
     #[serde(rename = "training")]
-    _training: NoNameTwice,
+    _training: UniqueKeys,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Scaling {
-    offset: [f64; OBSERVED],
-    scale: [f64; OBSERVED],
+    offset: [f64; OBSERVATION_SIZE],
+    scale: [f64; OBSERVATION_SIZE],
     limit: f64,
     empty_gap_m: f64,
     #[serde(default = "one")]
@@ -56,25 +56,26 @@ fn one() -> usize {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Bounds {
+struct PolicyFileAction {
     low_mps2: f64,
     high_mps2: f64,
-    departs_from: Option<Departing>,
+    #[serde(rename = "departs_from")]
+    residual_over: Option<PolicyFileResidual>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Departing {
+struct PolicyFileResidual {
     dead_zone: f64,
     rate_per_s: f64,
     #[serde(default)]
-    idm: Settings,
+    idm: PolicyFileIdm,
 }
 
 /// What is not stated is as the simulator has it.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Settings {
+struct PolicyFileIdm {
     desired_speed_mps: f64,
     time_headway_s: f64,
     standstill_gap_m: f64,
@@ -82,7 +83,7 @@ struct Settings {
     comfortable_brake_mps2: f64,
 }
 
-impl Default for Settings {
+impl Default for PolicyFileIdm {
     fn default() -> Self {
         Self {
             desired_speed_mps: 120.0 / 3.6,
@@ -94,13 +95,13 @@ impl Default for Settings {
     }
 }
 
-impl Bounds {
+impl PolicyFileAction {
     /// What the actions depart from, if it is a law.
-    fn departure(&self) -> Option<Departure> {
-        let Departing { dead_zone, rate_per_s, ref idm } = *self.departs_from.as_ref()?;
-        let Settings { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } = *idm;
+    fn residual_policy(&self) -> Option<ResidualPolicy> {
+        let PolicyFileResidual { dead_zone, rate_per_s, ref idm } = *self.residual_over.as_ref()?;
+        let PolicyFileIdm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } = *idm;
         let max_accel_mps2 = self.high_mps2;
-        let idm = Idm {
+        let idm = IdmLaw {
             desired_speed_mps,
             time_headway_s,
             standstill_gap_m,
@@ -108,22 +109,22 @@ impl Bounds {
             comfortable_brake_mps2,
             max_accel_mps2,
         };
-        Some(Departure { dead_zone, rate_per_s, idm })
+        Some(ResidualPolicy { dead_zone, rate_per_s, idm })
     }
 }
 
-impl Header {
+impl PolicyFileHeader {
     fn check(&self) -> Result<(), String> {
         let Self { version, hidden, observation, action, decision_interval_s, estimator, .. } = self;
         if *version != VERSION {
-            return Err(format!("{KEY}: version {version} is not known, only {VERSION}"));
+            return Err(format!("{METADATA_KEY}: version {version} is not known, only {VERSION}"));
         }
         if !ESTIMATORS.contains(&estimator.as_str()) {
-            return Err(format!("{KEY}: estimator: {estimator:?} is not known"));
+            return Err(format!("{METADATA_KEY}: estimator: {estimator:?} is not known"));
         }
         let numbers = hidden.iter().fold(0_usize, |sum, size| sum.saturating_add(*size));
-        let is_too_wide = hidden.iter().any(|size| !(1..=WIDEST_LAYER).contains(size));
-        if hidden.len() > MOST_LAYERS || numbers > MOST_NUMBERS || is_too_wide {
+        let is_too_wide = hidden.iter().any(|size| !(1..=MAX_LAYER_WIDTH).contains(size));
+        if hidden.len() > MAX_LAYERS || numbers > MAX_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
         let Scaling { offset, scale, limit, empty_gap_m, history, history_every } = observation;
@@ -135,12 +136,12 @@ impl Header {
         // How far apart, where there is one alone, has no meaning, and would look as if it had.
         if [*history, *history_every] != [1, 1] {
             let is_not = "only a network that sees nothing but the present can be followed";
-            return Err(format!("{KEY}: observation: history: {is_not}"));
+            return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
         }
-        if let Some(Err(problem)) = action.departure().map(|departure| departure.check()) {
-            return Err(format!("{KEY}: action: departs_from: {problem}"));
+        if let Some(Err(problem)) = action.residual_policy().map(|departure| departure.check()) {
+            return Err(format!("{METADATA_KEY}: action: departs_from: {problem}"));
         }
-        let Bounds { low_mps2: low, high_mps2: high, .. } = action;
+        let PolicyFileAction { low_mps2: low, high_mps2: high, .. } = action;
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
@@ -150,29 +151,29 @@ impl Header {
 }
 
 /// The policy that a text describes, of the tensors of a file.
-pub(super) fn read(text: &str, file: &mut Container<'_>) -> Result<Actor, String> {
-    let header: Header = serde_json::from_str(text).map_err(|error| format!("{KEY}: {error}"))?;
+pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
+    let header: PolicyFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
-    let sizes = [&[OBSERVED], header.hidden.as_slice(), &[1]].concat();
+    let sizes = [&[OBSERVATION_SIZE], header.hidden.as_slice(), &[1]].concat();
     let layers = sizes.windows(2).enumerate().map(|(index, pair)| {
         let (inputs, outputs) = (pair[0], pair[1]);
-        let weights = file.tensor(&format!("actor.{index}.weight"), &[inputs, outputs])?;
-        let biases = file.tensor(&format!("actor.{index}.bias"), &[outputs])?;
-        Ok(Layer { inputs, outputs, weights, biases })
+        let weights = file.take_tensor(&format!("actor.{index}.weight"), &[inputs, outputs])?;
+        let biases = file.take_tensor(&format!("actor.{index}.bias"), &[outputs])?;
+        Ok(LinearLayer { inputs, outputs, weights, biases })
     });
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
     let Scaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } = header.observation;
     let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
-    let departs_from = header.action.departure();
+    let departs_from = header.action.residual_policy();
     let decision_interval_s = header.decision_interval_s;
-    Ok(Own { layers, offset, scale, limit, empty_gap_m, action_mps2, departs_from, decision_interval_s }.into())
+    Ok(NativePolicy { layers, offset, scale, limit, empty_gap_m, action_bounds_mps2: action_mps2, residual_over: departs_from, decision_interval_s }.into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn stated() -> serde_json::Value {
+    fn header_json() -> serde_json::Value {
         serde_json::json!({
             "version": 1, "crumple": "0.1.0", "hidden": [64, 64],
             "observation": {"offset": vec![0; OBSERVED], "scale": vec![1; OBSERVED], "limit": 1.5, "empty_gap_m": 80},
@@ -181,7 +182,7 @@ mod tests {
         })
     }
 
-    fn header() -> Header {
+    fn header() -> PolicyFileHeader {
         serde_json::from_value(stated()).unwrap()
     }
 
@@ -192,14 +193,14 @@ mod tests {
             for (value, is_read) in [(serde_json::json!(1), true), (serde_json::Value::Null, false)] {
                 let mut stated = stated();
                 stated["observation"][field] = value;
-                assert_eq!(serde_json::from_value::<Header>(stated).is_ok(), is_read, "{field}");
+                assert_eq!(serde_json::from_value::<PolicyFileHeader>(stated).is_ok(), is_read, "{field}");
             }
             assert!(checked(|header| header.observation.history = 2).is_err());
             assert!(checked(|header| header.observation.history_every = 5).is_err());
         }
     }
 
-    fn checked(change: impl FnOnce(&mut Header)) -> Result<(), String> {
+    fn check_modified(change: impl FnOnce(&mut PolicyFileHeader)) -> Result<(), String> {
         let mut header = header();
         change(&mut header);
         header.check()
@@ -207,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
-        for hidden in [vec![], vec![1; MOST_LAYERS], vec![WIDEST_LAYER, WIDEST_LAYER], vec![1, MOST_NUMBERS / 2]] {
+        for hidden in [vec![], vec![1; MOST_LAYERS], vec![WIDEST_LAYER, WIDEST_LAYER], vec![1, MAX_NUMBERS / 2]] {
             assert_eq!(checked(|header| header.hidden.clone_from(&hidden)), Ok(()), "{hidden:?}");
         }
         for hidden in [

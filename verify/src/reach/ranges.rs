@@ -7,7 +7,7 @@ use crate::interval::Interval;
 /// Where everybody starts, how fast, and how hard and when leader and follower brake. The claim is about each member.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Ranges {
+pub struct InitialRanges {
     /// Bumper to bumper at the start, in metres.
     pub gap_ahead_m: Interval,
     /// Bumper to bumper at the start, in metres; without a meaning if nobody is behind, like all that is the follower's.
@@ -30,7 +30,7 @@ pub struct Ranges {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(missing_docs, reason = "each is the field of `Ranges` of that name")]
-pub enum Dimension {
+pub enum BoxDimension {
     GapAheadM,
     GapBehindM,
     LeaderSpeedMps,
@@ -43,8 +43,8 @@ pub enum Dimension {
     OnsetSteps,
 }
 
-impl Dimension {
-    /// All of them, in the order of the fields of [`Ranges`].
+impl BoxDimension {
+    /// All of them, in the order of the fields of [`InitialRanges`].
     pub const ALL: [Self; 8] = [
         Self::GapAheadM,
         Self::GapBehindM,
@@ -56,9 +56,9 @@ impl Dimension {
         Self::OnsetSteps,
     ];
 
-    /// The field of [`Ranges`] that it is.
+    /// The field of [`InitialRanges`] that it is.
     #[must_use]
-    pub const fn field(self) -> &'static str {
+    pub const fn field_name(self) -> &'static str {
         match self {
             Self::GapAheadM => "gap_ahead_m",
             Self::GapBehindM => "gap_behind_m",
@@ -72,31 +72,31 @@ impl Dimension {
     }
 }
 
-impl Ranges {
+impl InitialRanges {
     /// One range.
     #[must_use]
-    pub fn get(&self, dimension: Dimension) -> Interval {
+    pub fn get(&self, dimension: BoxDimension) -> Interval {
         let mut copy = *self;
         *copy.get_mut(dimension)
     }
 
     /// One range, to be changed.
-    pub fn get_mut(&mut self, dimension: Dimension) -> &mut Interval {
+    pub fn get_mut(&mut self, dimension: BoxDimension) -> &mut Interval {
         match dimension {
-            Dimension::GapAheadM => &mut self.gap_ahead_m,
-            Dimension::GapBehindM => &mut self.gap_behind_m,
-            Dimension::LeaderSpeedMps => &mut self.leader_speed_mps,
-            Dimension::EgoSpeedMps => &mut self.ego_speed_mps,
-            Dimension::FollowerSpeedMps => &mut self.follower_speed_mps,
-            Dimension::LeaderBrakeMps2 => &mut self.leader_brake_mps2,
-            Dimension::FollowerBrakeMps2 => &mut self.follower_brake_mps2,
-            Dimension::OnsetSteps => &mut self.onset_steps,
+            BoxDimension::GapAheadM => &mut self.gap_ahead_m,
+            BoxDimension::GapBehindM => &mut self.gap_behind_m,
+            BoxDimension::LeaderSpeedMps => &mut self.leader_speed_mps,
+            BoxDimension::EgoSpeedMps => &mut self.ego_speed_mps,
+            BoxDimension::FollowerSpeedMps => &mut self.follower_speed_mps,
+            BoxDimension::LeaderBrakeMps2 => &mut self.leader_brake_mps2,
+            BoxDimension::FollowerBrakeMps2 => &mut self.follower_brake_mps2,
+            BoxDimension::OnsetSteps => &mut self.onset_steps,
         }
     }
 
     /// Cut in two in the middle of a dimension; none if there is no number in between.
     #[must_use]
-    pub fn halves(&self, dimension: Dimension) -> Option<[Self; 2]> {
+    pub fn bisect(&self, dimension: BoxDimension) -> Option<[Self; 2]> {
         let range = self.get(dimension);
         let middle = 0.5 * range.low() + 0.5 * range.high();
         if !(range.low() < middle && middle < range.high()) {
@@ -108,11 +108,11 @@ impl Ranges {
         Some(halves)
     }
 
-    /// The box that holds one point, in the order of [`Dimension::ALL`]; none if the point is not in this box.
+    /// The box that holds one point, in the order of [`BoxDimension::ALL`]; none if the point is not in this box.
     #[must_use]
-    pub fn at(&self, point: &[f64; 8]) -> Option<Self> {
+    pub fn at_point(&self, point: &[f64; 8]) -> Option<Self> {
         let mut at = *self;
-        for (dimension, &value) in Dimension::ALL.into_iter().zip(point) {
+        for (dimension, &value) in BoxDimension::ALL.into_iter().zip(point) {
             let range = at.get_mut(dimension);
             *range = range.contains(value).then(|| Interval::new(value, value)).flatten()?;
         }

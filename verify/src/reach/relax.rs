@@ -12,74 +12,74 @@
 //! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and falls),
 //! and e⁻ʸ is that squared ten times; tanh z = (1 - e⁻²ᶻ) / (1 + e⁻²ᶻ). Beyond z = 20 tanh is within 2⁻⁵³ of 1.
 
-use super::form::{Form, up};
+use super::form::{AffineForm, round_up};
 use crate::interval::Interval;
 
 const ONE: Interval = Interval::ONE;
 
 /// s x + [low, high].
-pub(super) fn line(x: &Form, slope: f64, low: f64, high: f64) -> Form {
-    let Some(off) = Interval::new(low, high) else { return Form::line() };
-    let mut line = if slope == 0.0 { Form::default() } else { x.scaled(Interval::point(slope)) };
+pub(super) fn linear_enclosure(x: &AffineForm, slope: f64, low: f64, high: f64) -> AffineForm {
+    let Some(off) = Interval::new(low, high) else { return AffineForm::entire() };
+    let mut line = if slope == 0.0 { AffineForm::default() } else { x.scaled(Interval::point(slope)) };
     line.shift(off);
     line
 }
 
 /// max(0, x).
 #[must_use]
-pub fn rectified(x: &Form) -> Form {
-    rectified_above(x, f64::NEG_INFINITY)
+pub fn relu(x: &AffineForm) -> AffineForm {
+    relu_above(x, f64::NEG_INFINITY)
 }
 
 /// max(0, x) for those x that are at least `floor`, which is not positive; anything for the others.
 #[must_use]
-pub(super) fn rectified_above(x: &Form, floor: f64) -> Form {
+pub(super) fn relu_above(x: &AffineForm, floor: f64) -> AffineForm {
     let (low, high) = (x.range().low().max(floor), x.range().high());
     if low >= 0.0 {
         return x.clone();
     }
     if high <= 0.0 {
-        return Form::default();
+        return AffineForm::default();
     }
-    let (slope, excess) = rectifier(low, high);
-    line(x, slope, 0.0, excess)
+    let (slope, excess) = relu_relaxation(low, high);
+    linear_enclosure(x, slope, 0.0, excess)
 }
 
 /// For l < 0 < h a slope s in [0, 1], and M with 0 ≤ max(0, x) - s x ≤ M: by convexity the larger of -s l and (1 - s) h.
-pub(super) fn rectifier(low: f64, high: f64) -> (f64, f64) {
+pub(super) fn relu_relaxation(low: f64, high: f64) -> (f64, f64) {
     let slope = (high / (high - low)).clamp(0.0, 1.0);
-    (slope, up((-slope * low).max((1.0 - slope) * high)))
+    (slope, round_up((-slope * low).max((1.0 - slope) * high)))
 }
 
 /// max(0, x)².
 #[must_use]
-pub fn rectified_square(x: &Form) -> Form {
+pub fn relu_squared(x: &AffineForm) -> AffineForm {
     if x.range().high() <= 0.0 {
-        return Form::default();
+        return AffineForm::default();
     }
     let rectified = |x: Interval| x.max(Interval::ZERO);
-    convex(x, |x| rectified(x).sqr(), |x| rectified(x) + rectified(x), |slope| slope / 2.0)
+    relax_convex(x, |x| rectified(x).sqr(), |x| rectified(x) + rectified(x), |slope| slope / 2.0)
 }
 
 /// 1 / x; the whole line unless x is positive.
 #[must_use]
-pub fn reciprocal(x: &Form) -> Form {
+pub fn reciprocal(x: &AffineForm) -> AffineForm {
     if x.range().low() <= 0.0 {
-        return Form::line();
+        return AffineForm::entire();
     }
-    convex(x, |x| ONE.over(x), |x| -ONE.over(x.sqr()), |slope| (-1.0 / slope).sqrt())
+    relax_convex(x, |x| ONE.over(x), |x| -ONE.over(x.sqr()), |slope| (-1.0 / slope).sqrt())
 }
 
-fn convex(
-    x: &Form,
+fn relax_convex(
+    x: &AffineForm,
     value: impl Fn(Interval) -> Interval,
     derivative: impl Fn(Interval) -> Interval,
     touch: impl Fn(f64) -> f64,
-) -> Form {
+) -> AffineForm {
     let (low, high) = (x.range().low(), x.range().high());
     let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
     let (slope, highest) = chord([low, high], &value, [least, most]);
-    line(x, slope, least_on_tangent(value, derivative, slope, touch(slope), [low, high]), highest)
+    linear_enclosure(x, slope, tangent_lower_bound(value, derivative, slope, touch(slope), [low, high]), highest)
 }
 
 /// A slope near the chord's, within limits, and the most that a convex function exceeds s x by: that at one of the ends.
@@ -92,7 +92,7 @@ fn chord([low, high]: [f64; 2], value: impl Fn(Interval) -> Interval, [least, mo
 }
 
 /// A lower bound of f(x) - s x over [l, h] for convex f, from the tangent near `touch`.
-fn least_on_tangent(
+fn tangent_lower_bound(
     value: impl Fn(Interval) -> Interval,
     derivative: impl Fn(Interval) -> Interval,
     slope: f64,
@@ -107,13 +107,13 @@ fn least_on_tangent(
 
 /// The hyperbolic tangent.
 #[must_use]
-pub fn hyperbolic_tangent(z: &Form) -> Form {
-    let (slope, off) = hyperbolic_tangent_line(z.range().low(), z.range().high());
-    line(z, slope, off.low(), off.high())
+pub fn hyperbolic_tangent(z: &AffineForm) -> AffineForm {
+    let (slope, off) = tanh_relaxation(z.range().low(), z.range().high());
+    linear_enclosure(z, slope, off.low(), off.high())
 }
 
 /// A slope s, and bounds of tanh z - s z over [l, h].
-pub(super) fn hyperbolic_tangent_line(low: f64, high: f64) -> (f64, Interval) {
+pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     if !(low.is_finite() && high.is_finite()) {
         return (0.0, (-ONE).hull(ONE));
     }
@@ -124,7 +124,7 @@ pub(super) fn hyperbolic_tangent_line(low: f64, high: f64) -> (f64, Interval) {
     // An upper bound of tanh z - s z for a ≤ z ≤ b, both not negative; the negative of what a tangent gives for -tanh.
     let most = |a: f64, b: f64| -> f64 {
         let steepness = |z: Interval| tanh(z.low()).sqr() - ONE;
-        -least_on_tangent(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
+        -tangent_lower_bound(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
     };
     let at = |end: f64, value: Interval| value - Interval::point(slope) * Interval::point(end);
     let mut bounds = at(low, at_low).hull(at(high, at_high));
@@ -140,9 +140,9 @@ pub(super) fn hyperbolic_tangent_line(low: f64, high: f64) -> (f64, Interval) {
 }
 
 /// For l < 0 a slope s, and bounds of f(x) - s x over [l, h] for f that is x, and α (eˣ - 1) below 0.
-pub(super) fn elu_line(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
+pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
     if !(low.is_finite() && high.is_finite()) {
-        return (0.0, Interval::LINE);
+        return (0.0, Interval::ENTIRE);
     }
     let value = |x: Interval| elu(alpha, x.low());
     if !(0.0..=1.0).contains(&alpha) {
@@ -157,9 +157,9 @@ pub(super) fn elu_line(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
         // Where α eˣ is the slope. Above 0 f - s x grows from what it is at 0.
         let touch = (slope / alpha).ln().clamp(-40.0, 0.0);
         let steepness = |x: Interval| Interval::point(alpha) * exp(x.low());
-        least_on_tangent(value, steepness, slope, touch, [low, high.min(0.0)])
+        tangent_lower_bound(value, steepness, slope, touch, [low, high.min(0.0)])
     };
-    (slope, Interval::new(least, highest).unwrap_or(Interval::LINE))
+    (slope, Interval::new(least, highest).unwrap_or(Interval::ENTIRE))
 }
 
 /// x, and α (eˣ - 1) below 0.
@@ -169,7 +169,7 @@ fn elu(alpha: f64, x: f64) -> Interval {
 
 /// eˣ for x ≤ 0.
 fn exp(x: f64) -> Interval {
-    if x < -40.0 { Interval::ZERO.hull(exp_minus(40.0)) } else { exp_minus(-x) }
+    if x < -40.0 { Interval::ZERO.hull(exp_neg(40.0)) } else { exp_neg(-x) }
 }
 
 /// tanh of a number.
@@ -181,13 +181,13 @@ pub fn tanh(z: f64) -> Interval {
     if z > 20.0 {
         return (ONE - Interval::point(f64::EPSILON)).hull(ONE);
     }
-    let e = exp_minus(2.0 * z);
+    let e = exp_neg(2.0 * z);
     (ONE - e).over(ONE + e)
 }
 
 /// e⁻ʸ for 0 ≤ y ≤ 40.
 #[must_use]
-pub(crate) fn exp_minus(y: f64) -> Interval {
+pub(crate) fn exp_neg(y: f64) -> Interval {
     let t = Interval::point(y / 1024.0);
     // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the same cut off one earlier.
     let sum = |degree: u32| (1..=degree).rev().fold(ONE, |sum, n| ONE - t.over(Interval::point(f64::from(n))) * sum);

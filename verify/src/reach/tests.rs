@@ -1,11 +1,11 @@
-use super::cases::{constant, from, scene, start};
+use super::fixtures::{constant, from, scene, start};
 use super::*;
 use crate::work::WorkLimit;
 
-const INSIDE: [f64; 8] = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
+const DEFAULT_POINT: [f64; 8] = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
 
 fn claim(partition: Vec<Cell>) -> Reach {
-    let mut ranges = start(INSIDE);
+    let mut ranges = start(DEFAULT_POINT);
     ranges.gap_ahead_m = from(0.0, 1.0);
     Reach {
         policy_file: file_name("0123456789abcdef", false),
@@ -55,7 +55,7 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
 #[test]
 fn a_cell_is_cut_no_more_often_than_may_be() {
     let cut = Cell::Cut(Dimension::GapAheadM);
-    for (cuts, expected) in [(MOST_CUTS, ""), (MOST_CUTS + 1, "cuts too often")] {
+    for (cuts, expected) in [(MAX_CUTS, ""), (MAX_CUTS + 1, "cuts too often")] {
         let lower: Vec<Cell> = [vec![cut; cuts], vec![Cell::Undecided; cuts + 1]].concat();
         let upper: Vec<Cell> = [[cut, Cell::Undecided].repeat(cuts), vec![Cell::Undecided]].concat();
         for partition in [lower, upper] {

@@ -1,25 +1,25 @@
 //! Which share of a box's volume its parts have: counting cuts would do if every cut were one in equal halves, and the middle of a range
 //! of a few floating-point numbers is far from that.
 
-use super::{Cell, Ranges, Reach};
+use super::{PartitionCell, InitialRanges, ReachClaim};
 use crate::Rejection;
 use crate::interval::Interval;
 
-impl Reach {
+impl ReachClaim {
     /// Lower bounds of the shares of the box's volume that are said to be verified, and that are in cells said to be falsified.
     ///
     /// # Errors
     /// [`Rejection`] if the cuts do not make a partition.
-    pub fn shares(&self) -> Result<[f64; 2], Rejection> {
+    pub fn volume_shares(&self) -> Result<[f64; 2], Rejection> {
         let leaves = self.leaves()?;
         // All of the box, whatever rounding has taken from its parts.
-        if leaves.iter().all(|(cell, ..)| *cell == Cell::Verified) {
+        if leaves.iter().all(|(cell, ..)| *cell == PartitionCell::Verified) {
             return Ok([1.0, 0.0]);
         }
-        let of = |sums: [f64; 2], (cell, _, share): (Cell, Ranges, f64)| match cell {
-            Cell::Verified => [add_shares(sums[0], share), sums[1]],
-            Cell::Falsified(_) => [sums[0], add_shares(sums[1], share)],
-            Cell::Undecided | Cell::Cut(_) => sums,
+        let of = |sums: [f64; 2], (cell, _, share): (PartitionCell, InitialRanges, f64)| match cell {
+            PartitionCell::Verified => [add_shares(sums[0], share), sums[1]],
+            PartitionCell::Falsified(_) => [sums[0], add_shares(sums[1], share)],
+            PartitionCell::Undecided | PartitionCell::Cut(_) => sums,
         };
         Ok(leaves.into_iter().fold([0.0; 2], of))
     }
@@ -27,7 +27,7 @@ impl Reach {
 
 /// A lower bound of the share of the volume of what was cut that one part has, if the whole has `share`. Cuts are in the middle but
 /// for its rounding, which in a range of a few floating-point numbers is all there is.
-pub(super) fn share_of_cut(share: f64, part: Interval, whole: Interval) -> f64 {
+pub(super) fn part_share(share: f64, part: Interval, whole: Interval) -> f64 {
     // The width as a rounded number and what rounding has lost, which together are exact.
     let width = |range: Interval| {
         let (high, low) = (range.high(), -range.low());

@@ -5,50 +5,50 @@
 //! one window. A run for it starts where the first of them began, and within it the follower's acceleration is any number from
 //! full braking to none.
 
-use super::drive::Scene;
-use super::members::{ByKind, Kind, Members};
+use super::propagate::ReachProblem;
+use super::ego_set::{ByMode, MotionMode, EgoSet};
 
 /// Windows become longer if they would be more than these...
-const FEW: usize = 10;
+const TARGET_WINDOWS: usize = 10;
 /// ... but their first instants are no further apart than this, in seconds.
-const LONGEST_S: f64 = 0.1;
+const MAX_SPACING_S: f64 = 0.1;
 
 /// Instants at which the follower's brake may fire.
-pub(super) struct Window {
+pub(super) struct FiringWindow {
     /// The decision before the first of them, and the members at it.
     pub(super) k: u32,
-    pub(super) members: ByKind<Members>,
+    pub(super) members: ByMode<EgoSet>,
     /// Of which of them some may fire.
-    fires: [bool; 3],
+    fires_by_mode: [bool; 3],
     pub(super) instants: [f64; 2],
 }
 
-impl Window {
+impl FiringWindow {
     /// The decision interval that begins at k, in which nobody fires yet.
-    pub(super) fn at(k: u32) -> Self {
-        Self { k, members: ByKind::default(), fires: [false; 3], instants: [f64::INFINITY, f64::NEG_INFINITY] }
+    pub(super) fn new(k: u32) -> Self {
+        Self { k, members: ByMode::default(), fires_by_mode: [false; 3], instants: [f64::INFINITY, f64::NEG_INFINITY] }
     }
 
     pub(super) fn may_fire(&self) -> bool {
-        self.fires.contains(&true)
+        self.fires_by_mode.contains(&true)
     }
 
     /// Some members of a kind may fire from the first to the last of these instants.
-    pub(super) fn note(&mut self, kind: Kind, [first, last]: [f64; 2]) {
+    pub(super) fn record_firing(&mut self, kind: MotionMode, [first, last]: [f64; 2]) {
         self.instants = [self.instants[0].min(first), self.instants[1].max(last)];
-        self.fires[kind as usize] = true;
+        self.fires_by_mode[kind as usize] = true;
     }
 
     /// Adds those who fire in a later window. Who moves then moved before; all others may have been of any kind.
     fn extend(&mut self, later: &Self) {
-        let before = if later.fires == [true, false, false] { &[Kind::Moving][..] } else { &Kind::ALL };
-        before.iter().for_each(|&kind| self.note(kind, later.instants));
+        let before = if later.fires_by_mode == [true, false, false] { &[MotionMode::Moving][..] } else { &MotionMode::ALL };
+        before.iter().for_each(|&kind| self.record_firing(kind, later.instants));
     }
 
     /// Those of whom some may fire.
-    pub(super) fn firing(self) -> ByKind<Members> {
+    pub(super) fn into_firing_sets(self) -> ByMode<EgoSet> {
         let mut members = self.members;
-        for (members, fires) in members.iter_mut().zip(self.fires) {
+        for (members, fires) in members.iter_mut().zip(self.fires_by_mode) {
             members.take_if(|_| !fires);
         }
         members
@@ -56,10 +56,10 @@ impl Window {
 }
 
 /// Fewer windows, if they are many; in order.
-pub(super) fn merged(windows: Vec<Window>, scene: &Scene<'_>) -> Vec<Window> {
-    let longest = (LONGEST_S / scene.step_s).round() as u32;
-    let most = longest.min(windows.len().div_ceil(FEW) as u32 * scene.decision_steps);
-    windows.into_iter().fold(Vec::new(), |mut merged: Vec<Window>, window| {
+pub(super) fn merge_windows(windows: Vec<FiringWindow>, scene: &ReachProblem<'_>) -> Vec<FiringWindow> {
+    let longest = (MAX_SPACING_S / scene.step_s).round() as u32;
+    let most = longest.min(windows.len().div_ceil(TARGET_WINDOWS) as u32 * scene.decision_steps);
+    windows.into_iter().fold(Vec::new(), |mut merged: Vec<FiringWindow>, window| {
         match merged.last_mut() {
             Some(last) if window.k - last.k < most => last.extend(&window),
             _ => merged.push(window),

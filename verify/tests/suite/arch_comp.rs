@@ -20,7 +20,7 @@ use crate::support::networks::{any_steps, file_of};
 
 const DRAG: f64 = 1e-4;
 
-fn law(v_ego: f64, d_rel: f64, v_rel: f64) -> f64 {
+fn target_acceleration(v_ego: f64, d_rel: f64, v_rel: f64) -> f64 {
     (0.05 * (d_rel - 30.0 - 1.4 * v_ego) + 0.7 * v_rel).clamp(-3.0, 1.0)
 }
 
@@ -29,12 +29,12 @@ fn random(state: &mut u64) -> f64 {
     (*state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
-fn seen(v_ego: f64, d_rel: f64, v_rel: f64) -> Vec<f64> {
+fn observation(v_ego: f64, d_rel: f64, v_rel: f64) -> Vec<f64> {
     vec![30.0, 1.4, v_ego, d_rel, v_rel]
 }
 
 /// Random hidden layers in single precision, and the last layer that fits the law best.
-fn fitted() -> Vec<Step> {
+fn fit_network() -> Vec<Step> {
     let mut state = 7;
     let scales = [30.0, 1.4, 30.0, 60.0, 10.0];
     let mut layers: Vec<Layer> = (0..5)
@@ -79,7 +79,7 @@ fn fitted() -> Vec<Step> {
     rectified_between(layers).collect()
 }
 
-fn actor(steps: Vec<Step>) -> Actor {
+fn controller(steps: Vec<Step>) -> Actor {
     let input = |of, constant| Input { of, constant, absent: None, offset: 0.0, scale: 1.0, low: -1e6, high: 1e6 };
     Actor {
         inputs: vec![
@@ -103,7 +103,7 @@ fn actor(steps: Vec<Step>) -> Actor {
 }
 
 /// A plain simulation with a fine step: the least margin, and x_ego at the end.
-fn simulated(steps: &[Step], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f64) {
+fn simulate(steps: &[Step], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, f64) {
     let (mut lead, mut ego) = ([x_lead, v_lead, 0.0], [x_ego, v_ego, 0.0]);
     let margin = |lead: [f64; 3], ego: [f64; 3]| lead[0] - ego[0] - 10.0 - 1.4 * ego[1];
     let (mut least, mut a) = (margin(lead, ego), 0.0);
@@ -125,7 +125,7 @@ fn simulated(steps: &[Step], [x_lead, v_lead, x_ego, v_ego]: [f64; 4]) -> (f64, 
 }
 
 /// Corners of the box and members of it.
-fn starts(numbers: &mut Numbers) -> Vec<[f64; 4]> {
+fn initial_states(numbers: &mut Numbers) -> Vec<[f64; 4]> {
     let ends = [[90.0, 110.0], [32.0, 32.2], [10.0, 11.0], [30.0, 30.2]];
     let corners = (0..16_usize).map(|corner| std::array::from_fn(|i| ends[i][corner >> i & 1]));
     let inside = (0..4).map(|_| ends.map(|[low, high]| low + (high - low) * numbers.unit()));
@@ -185,7 +185,7 @@ fn other_problems_are_refused() {
 }
 
 /// A calm constant, as a file: whatever it sees it brakes at 3 m/s².
-fn braking() -> Vec<u8> {
+fn braking_network_file() -> Vec<u8> {
     let input = |of: &str, what: Value| json!({ (of): what, "offset": 0.0, "scale": 1.0, "low": -1e6, "high": 1e6 });
     let text = json!({
         "version": 1, "source": { "format": "onnx", "sha256": "0".repeat(64) },
@@ -201,7 +201,7 @@ fn braking() -> Vec<u8> {
     file_of(&text, &[weight, ("steps.0.bias".to_owned(), vec![1], &[-3.0])])
 }
 
-fn certified(file: &[u8], change: impl FnOnce(&mut Cruise)) -> Certificate {
+fn certificate_for(file: &[u8], change: impl FnOnce(&mut Cruise)) -> Certificate {
     let digest: String = Sha256::digest(file).iter().map(|byte| format!("{byte:02x}")).collect();
     let found = bounds(&Actor::from_bytes(file).unwrap(), 3).unwrap();
     let mut claim = Cruise {
@@ -227,8 +227,8 @@ fn a_certificate_states_what_is_bounded_and_no_more() {
     assert_eq!(checked(|_| ()), accepted);
     assert_eq!(checked(|claim| claim.margin_m_at_least = f64::NEG_INFINITY), accepted);
     assert_eq!(checked(|claim| claim.x_ego_width_m_at_most = 1e9), accepted);
-    type Change = fn(&mut Cruise);
-    let more: [(Change, &str); 7] = [
+    type CruiseClaimMutation = fn(&mut Cruise);
+    let more: [(CruiseClaimMutation, &str); 7] = [
         (
             |claim| claim.margin_m_at_least = claim.margin_m_at_least.next_up(),
             "`margin_m_at_least` is more than is proved",

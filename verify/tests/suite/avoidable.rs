@@ -10,7 +10,7 @@ fn certificate(scene: &Scene, witness: Vec<Vec<Held<f64>>>) -> Certificate {
 }
 
 /// Two cars of which the second is followed by a truck; everybody at 20 m/s and the leader brakes after 1 s.
-fn calm() -> (Scene, Vec<Vec<Held<f64>>>) {
+fn calm_scene() -> (Scene, Vec<Vec<Held<f64>>>) {
     let point = Interval::point;
     let ego = |x: f64| Ego {
         position_m: Interval::new(x - 0.5, x + 0.5).unwrap(),
@@ -141,7 +141,7 @@ fn afterwards_is_as_a_closed_form_says() {
 }
 
 /// A scene and a witness of two pieces.
-fn witnessed(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)> {
+fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)> {
     (scenes(egos), prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos)).prop_map(|(scene, levels)| {
         let of = |(ego, (first, then)): (&Ego, (f64, f64))| {
             let a = |level: f64| {
@@ -155,7 +155,7 @@ fn witnessed(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Held<f64>>>)>
     })
 }
 
-fn expanded(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
+fn expand_to_substeps(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
     let of =
         |profile: &Vec<Held<f64>>| profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect();
     witness.iter().map(of).collect()
@@ -163,12 +163,12 @@ fn expanded(witness: &[Vec<Held<f64>>]) -> Vec<Vec<f64>> {
 
 /// The smallest gap of a member if the scene goes on: the leader stops at once or holds its speed, and the others brake to a stop or to
 /// the slowest of all.
-fn kept_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &mut dyn FnMut() -> f64) -> f64 {
-    const MORE: u32 = 200;
+fn min_gap_after_horizon_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &mut dyn FnMut() -> f64) -> f64 {
+    const EXTRA_STEPS: u32 = 200;
     let stops = afterwards == Afterwards::WhateverTheLeaderDoes;
     let mut longer = scene.clone();
-    longer.steps += MORE;
-    longer.leader.acceleration_mps2.push(Held(MORE, Interval::point(if stops { -1000.0 } else { 0.0 })));
+    longer.steps += EXTRA_STEPS;
+    longer.leader.acceleration_mps2.push(Held(EXTRA_STEPS, Interval::point(if stops { -1000.0 } else { 0.0 })));
     let member = member(&longer, picks);
     let ends = drive(scene, &member, profiles);
     let leader_mps = member.leader_mps2.iter().take(scene.steps as usize);
@@ -178,7 +178,7 @@ fn kept_m(scene: &Scene, profiles: &[Vec<f64>], afterwards: Afterwards, picks: &
     let dt = scene.step_s / SUBSTEPS as f64;
     let mut longer_profiles = profiles.to_vec();
     for ((profile, mut v), ego) in longer_profiles.iter_mut().zip(speeds).zip(&scene.egos) {
-        for _ in 0..MORE as usize * SUBSTEPS {
+        for _ in 0..EXTRA_STEPS as usize * SUBSTEPS {
             let a = ((slowest_mps - v) / dt).max(-ego.max_brake_mps2);
             profile.push(a);
             v += a * dt;
@@ -226,7 +226,7 @@ proptest! {
 }
 
 /// Ten steps at the same speeds, nobody on the egos' side in a hurry: what holds afterwards is for the follower to spoil.
-fn followed(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, Afterwards) {
+fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, Afterwards) {
     let point = Interval::point;
     let scene = Scene {
         step_s: 0.25,

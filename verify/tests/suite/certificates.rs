@@ -57,7 +57,7 @@ fn avoidable_file() -> Value {
 }
 
 /// Whether what an accepted certificate states holds where it is tried.
-fn holds_up(certificate: &Certificate) -> bool {
+fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
     let corners = [0.0, 0.5, 1.0];
     match &certificate.statement {
         Statement::Avoidable(claim) => corners.iter().all(|&corner| {
@@ -85,7 +85,7 @@ fn what_survives_a_change_is_true() {
             match read(&mutant) {
                 Ok(certificate) if check(&certificate).is_ok() => {
                     accepted += 1;
-                    assert!(holds_up(&certificate), "{change} was accepted");
+                    assert!(is_confirmed_by_simulation(&certificate), "{change} was accepted");
                 }
                 _ => rejected += 1,
             }
@@ -234,7 +234,7 @@ proptest! {
             // The plain simulation overflows where the check does not.
             let position_m = scene.leader.position_m;
             prop_assume!(position_m.high().abs() < 1e9 && scene.egos[0].position_m.high().abs() < 1e9);
-            prop_assert!(holds_up(&certificate), "{}", file);
+            prop_assert!(is_confirmed_by_simulation(&certificate), "{}", file);
         }
     }
 

@@ -1,19 +1,19 @@
 //! What the checker says of boxes is true of their members to the last bit, by a derivation that shares nothing with it.
 
-use crumple_verify::reach::{Actor, Cell, Follower, Scene, Tube, reach_with_tube};
+use crumple_verify::reach::{Actor, Cell, Follower, Scene, ReachTube, reach_with_tube};
 use crumple_verify::{Certificate, Interval, Statement};
 use proptest::prelude::*;
 
-use crate::departure::any_departure;
-use crate::driven::any_law;
-use crate::led::unscripted;
+use crate::residual::any_departure;
+use crate::law_follower::any_law;
+use crate::leader::unscripted;
 use crate::reach::{LATCHED, any_ranges, any_unit, member, paper, reference, scene};
 use crate::support::closed_loop::{Numbers, Start, simulate};
 use crate::support::exact::{Exact, TooClose, drive};
 use crate::support::networks::{any_network, departing};
 
 /// Errors of what is observed: each the largest there is, to one side or the other, or none.
-fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
+fn random_errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
     let largest = scene.observation_error;
     move |decision| {
         let mut numbers = Numbers::at(seed, decision as u32);
@@ -22,7 +22,7 @@ fn errors(scene: &Scene<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
 }
 
 /// How a leader brakes that may brake at so much: any rate at each step, or all or nothing for a while.
-fn brakes(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
+fn random_braking(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
     move |k| {
         let held = if seed.is_multiple_of(2) { 1 } else { 37 };
         let mut numbers = Numbers::at(seed, k / held);
@@ -31,14 +31,14 @@ fn brakes(limit_mps2: f64, seed: u64) -> impl Fn(u32) -> f64 {
 }
 
 /// A member of a scene, driven to the end.
-fn driven(scene: &Scene<'_>, start: Start, seed: u64) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
+fn simulate_member(scene: &Scene<'_>, start: Start, seed: u64) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
     let brake = scene.leader_brakes_at_most_mps2.map(|limit_mps2| brakes(limit_mps2, seed));
     drive(scene, start, errors(scene, seed), brake.as_ref().map(|brake| brake as &dyn Fn(u32) -> f64))
 }
 
 /// Whether a run is where the bounds have it, with nothing to spare.
 fn is_bounded(
-    tube: Option<&Tube>,
+    tube: Option<&ReachTube>,
     gaps_m: Option<[f64; 2]>,
     (trace, least): &(Vec<[Exact; 8]>, [Exact; 2]),
 ) -> Result<(), String> {

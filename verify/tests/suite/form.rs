@@ -9,7 +9,7 @@ use proptest::prelude::*;
 /// Symbols that forms share.
 const SYMBOLS: usize = 3;
 
-fn exact(value: f64) -> BigRational {
+fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 

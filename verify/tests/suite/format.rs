@@ -65,7 +65,7 @@ fn rate() -> Certificate {
 }
 
 /// The text with one passage changed, read and checked.
-fn judged(certificate: &Certificate, from: &str, to: &str) -> Result<Accepted, String> {
+fn check_replaced(certificate: &Certificate, from: &str, to: &str) -> Result<Accepted, String> {
     let text = certificate.canonical();
     assert!(text.contains(from), "{from} in {text}");
     let read = Certificate::from_json(&text.replacen(from, to, 1)).map_err(|error| error.to_string())?;
@@ -236,7 +236,7 @@ fn how_far_a_claim_reaches_is_said() {
         (1, "\nbehind: 1 vehicle, not part of the claim\n"),
         (2, "\nbehind: 2 vehicles, not part of the claim\n"),
     ] {
-        let said = unavoidable().scope_beside(None, left_out).to_string();
+        let said = unavoidable().scope_with_uncovered_vehicles(None, left_out).to_string();
         assert!(said.contains(words), "{words}: {said}");
     }
     let accepted = check(&unavoidable()).unwrap().to_string();
@@ -311,7 +311,7 @@ fn reach() -> Certificate {
 }
 
 /// What is said of a certificate that was changed; its registration, if it has one, is registered anew.
-fn said_of(mut certificate: Certificate, change: impl FnOnce(&mut Certificate)) -> String {
+fn check_mutated(mut certificate: Certificate, change: impl FnOnce(&mut Certificate)) -> String {
     change(&mut certificate);
     match &mut certificate.statement {
         Statement::Rate(claim) => claim.registration_sha256 = claim.registration.digest(),
@@ -324,7 +324,7 @@ fn said_of(mut certificate: Certificate, change: impl FnOnce(&mut Certificate)) 
 #[test]
 fn blocks_hold_as_many_failures_as_runs_and_no_more() {
     let of_rate = |failures: [u64; 3]| {
-        said_of(rate(), |certificate| {
+        check_mutated(rate(), |certificate| {
             let Statement::Rate(claim) = &mut certificate.statement else { panic!("a rate") };
             claim.blocks.iter_mut().zip(failures).for_each(|(block, failures)| block.0 = failures);
             (claim.failures, claim.rate_at_most) = (failures.iter().sum(), 0.99);
@@ -336,14 +336,14 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
     assert_eq!(of_rate([0, 101, 0]), "`blocks[1]` counts more runs than it has");
     assert_eq!(of_rate([0, 0, 51]), "`blocks[2]` counts more runs than it has");
     for block_runs in [None, Some(0)] {
-        let said = said_of(rate(), |certificate| {
+        let said = check_mutated(rate(), |certificate| {
             let Statement::Rate(claim) = &mut certificate.statement else { panic!("a rate") };
             claim.registration.block_runs = block_runs;
         });
         assert_eq!(said, "`registration.block_runs` must be positive");
     }
     let of_two = |change: fn(&mut Comparison)| {
-        said_of(comparison(), |certificate| {
+        check_mutated(comparison(), |certificate| {
             let Statement::Comparison(claim) = &mut certificate.statement else { panic!("a comparison") };
             change(claim);
         })
@@ -366,16 +366,16 @@ fn blocks_hold_as_many_failures_as_runs_and_no_more() {
 #[test]
 fn what_is_about_no_scenario_names_none() {
     let bound = |certificate: Certificate, said: &str, why: &str| {
-        assert!(said_of(certificate.clone(), |_| ()).starts_with(said), "{}", said_of(certificate, |_| ()));
-        type Change = fn(&mut Provenance);
-        let changes: [(&str, Change); 4] = [
+        assert!(check_mutated(certificate.clone(), |_| ()).starts_with(said), "{}", check_mutated(certificate, |_| ()));
+        type ProvenanceMutation = fn(&mut Provenance);
+        let changes: [(&str, ProvenanceMutation); 4] = [
             ("scenario", |provenance| provenance.scenario = "paper-1".to_owned()),
             ("scenario_sha256", |provenance| provenance.scenario_sha256 = sha256("")),
             ("scenario_text", |provenance| provenance.scenario_text = Some(String::new())),
             ("box_text", |provenance| provenance.box_text = Some(String::new())),
         ];
         for (field, change) in changes {
-            let said = said_of(certificate.clone(), |certificate| change(&mut certificate.provenance));
+            let said = check_mutated(certificate.clone(), |certificate| change(&mut certificate.provenance));
             assert_eq!(said, format!("`provenance.{field}` must be absent: {why}"));
         }
     };
@@ -385,8 +385,8 @@ fn what_is_about_no_scenario_names_none() {
 
 #[test]
 fn a_network_is_named_after_its_digest_and_where_it_is_from() {
-    fn named(certificate: Certificate, file: Option<&str>, digest: Option<&str>) -> String {
-        said_of(certificate, |certificate| {
+    fn check_named(certificate: Certificate, file: Option<&str>, digest: Option<&str>) -> String {
+        check_mutated(certificate, |certificate| {
             let (policy_file, policy_sha256) = match &mut certificate.statement {
                 Statement::Reach(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
                 Statement::AdaptiveCruise(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
@@ -408,9 +408,9 @@ fn a_network_is_named_after_its_digest_and_where_it_is_from() {
         assert_eq!(named(Some(&format!("{kind}-.safetensors")), Some("abc")), wrong, "no SHA-256");
         assert_eq!(named(None, Some(start)), wrong, "not all of it");
     }
-    let without = said_of(reach(), |certificate| certificate.provenance.box_text = None);
+    let without = check_mutated(reach(), |certificate| certificate.provenance.box_text = None);
     assert_eq!(without, "`provenance.box_text` is missing");
-    let nameless = said_of(reach(), |certificate| certificate.provenance.scenario = String::new());
+    let nameless = check_mutated(reach(), |certificate| certificate.provenance.scenario = String::new());
     assert_eq!(nameless, "`provenance.scenario` is missing");
 }
 

@@ -5,7 +5,7 @@ use num_rational::BigRational;
 use num_traits::FromPrimitive;
 use proptest::prelude::*;
 
-fn exact(value: f64) -> BigRational {
+fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 

@@ -4,7 +4,7 @@ use crumple_verify::polynomial::Polynomial;
 use crumple_verify::{Accepted, Assumption, Certificate, Kernel, Provenance, Rejection, Statement, check};
 use num_rational::BigRational;
 
-fn checked(kernel: &Kernel) -> Result<Accepted, Rejection> {
+fn check_kernel(kernel: &Kernel) -> Result<Accepted, Rejection> {
     let statement = Statement::Kernel(kernel.clone());
     let nobody = Provenance::default();
     let mut certificate =
@@ -17,7 +17,7 @@ fn checked(kernel: &Kernel) -> Result<Accepted, Rejection> {
     result
 }
 
-fn number(text: &str) -> BigRational {
+fn parse_rational(text: &str) -> BigRational {
     text.parse().unwrap()
 }
 

@@ -11,14 +11,14 @@
 mod arch_comp;
 mod avoidable;
 mod certificates;
-mod departure;
-mod driven;
+mod residual;
+mod law_follower;
 mod exact;
 mod form;
 mod format;
 mod interval;
 mod kernel;
-mod led;
+mod leader;
 mod motion;
 mod network;
 mod network_files;

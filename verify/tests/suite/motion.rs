@@ -6,12 +6,12 @@ use num_rational::BigRational;
 use num_traits::{FromPrimitive, Signed, Zero};
 use proptest::prelude::*;
 
-fn exact(value: f64) -> BigRational {
+fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
 /// Distance and speed in rational arithmetic.
-fn exactly(v: f64, a: f64, t: f64) -> (BigRational, BigRational) {
+fn rational_distance_and_speed(v: f64, a: f64, t: f64) -> (BigRational, BigRational) {
     let (v, a, t) = (exact(v), exact(a), exact(t));
     let end = &v + &a * &t;
     let two = exact(2.0);

@@ -11,19 +11,19 @@ const SYMBOLS: usize = 3;
 
 /// c + Σ Λᵢ (yᵢ - middle of yᵢ) + Σ Eⱼ ηⱼ + ρ.
 #[derive(Debug, Clone, Default)]
-struct Number {
+struct NumberBounds {
     centre: f64,
     slopes: [f64; OBSERVED],
     excess: Vec<f64>,
     rho: f64,
 }
 
-fn total(values: &[f64]) -> f64 {
+fn abs_sum(values: &[f64]) -> f64 {
     values.iter().map(|value| value.abs()).sum()
 }
 
 /// Σ |Λᵢ| times something of each observation.
-fn weighed(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED], of: impl Fn(&Form) -> f64) -> f64 {
+fn weighted_sum(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED], of: impl Fn(&Form) -> f64) -> f64 {
     slopes.iter().zip(seen).map(|(slope, seen)| slope.abs() * of(seen)).sum()
 }
 
@@ -34,12 +34,12 @@ fn terms(slopes: &[f64; OBSERVED], seen: &[Form; OBSERVED]) -> [f64; SYMBOLS] {
 }
 
 /// h W + b in single precision: off by at most γ (Σ|w||h| + |b|), γ = (n + 2) u / (1 - (n + 2) u).
-fn through(numbers: &[Number], layer: &Layer, seen: &[Form; OBSERVED]) -> Vec<Number> {
+fn apply_linear(numbers: &[NumberBounds], layer: &Layer, seen: &[Form; OBSERVED]) -> Vec<NumberBounds> {
     let nu = (layer.inputs as f64 + 2.0) * 2.0_f64.powi(-24);
     let gamma = nu / (1.0 - nu);
     let of_output = |output: usize| {
         let bias = layer.biases[output];
-        let mut sum = Number { centre: bias, rho: gamma * bias.abs(), ..Number::default() };
+        let mut sum = NumberBounds { centre: bias, rho: gamma * bias.abs(), ..NumberBounds::default() };
         for (input, number) in numbers.iter().enumerate() {
             let weight = layer.weights[input * layer.outputs + output];
             let most =
@@ -56,7 +56,7 @@ fn through(numbers: &[Number], layer: &Layer, seen: &[Form; OBSERVED]) -> Vec<Nu
 }
 
 /// max(0, ·): the chord from l to h, and half its largest distance on either side as a column of its own.
-fn rectify(numbers: &mut [Number], seen: &[Form; OBSERVED]) {
+fn apply_relu(numbers: &mut [NumberBounds], seen: &[Form; OBSERVED]) {
     let mut columns = numbers.iter().map(|number| number.excess.len()).max().unwrap_or(0);
     for number in numbers {
         let radius = total(&terms(&number.slopes, seen))
@@ -65,7 +65,7 @@ fn rectify(numbers: &mut [Number], seen: &[Form; OBSERVED]) {
             + number.rho;
         let (low, high) = (number.centre - radius, number.centre + radius);
         if high <= 0.0 {
-            *number = Number::default();
+            *number = NumberBounds::default();
         } else if low < 0.0 {
             let slope = high / (high - low);
             let half = -0.5 * slope * low;
@@ -121,11 +121,11 @@ proptest! {
     #[test]
     fn bounds_are_those_of_the_formulas(seen in prop::collection::vec(observation(), OBSERVED), layers in layers()) {
         let seen: [Form; OBSERVED] = seen.try_into().unwrap();
-        let mut numbers: Vec<Number> = (0..OBSERVED)
-            .map(|i| Number {
+        let mut numbers: Vec<NumberBounds> = (0..OBSERVED)
+            .map(|i| NumberBounds {
                 centre: seen[i].centre(),
                 slopes: std::array::from_fn(|column| f64::from(u8::from(i == column))),
-                ..Number::default()
+                ..NumberBounds::default()
             })
             .collect();
         for (index, layer) in layers.iter().enumerate() {

@@ -34,8 +34,8 @@ fn with_text(file: &[u8], change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
 fn what_makes_no_sense_is_refused() {
     let (_, file) = any_with_file(1);
     assert!(Actor::from_bytes(&with_text(&file, |_| ())).is_ok());
-    type Change = fn(&mut Value);
-    let changes: [(&str, Change); 14] = [
+    type NetworkTextMutation = fn(&mut Value);
+    let changes: [(&str, NetworkTextMutation); 14] = [
         ("version 2 is not known", |text| text["version"] = json!(2)),
         ("unknown field `note`", |text| text["note"] = json!("")),
         ("missing field `empty_gap_m`", |text| drop(text.as_object_mut().unwrap().remove("empty_gap_m"))),
@@ -129,7 +129,7 @@ fn a_statement_about_a_network_names_its_source_and_says_what_it_assumes() {
 }
 
 /// A network that sees so many constants, with steps and tensors of its own.
-fn plain(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<Actor, String> {
+fn constant_network(constants: usize, steps: Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Result<Actor, String> {
     let input = json!({ "constant": 1.0, "offset": 0.0, "scale": 1.0, "low": -1.0, "high": 1.0 });
     let text = with_inputs(vec![input; constants], steps);
     Actor::from_bytes(&file_of(&text, tensors))

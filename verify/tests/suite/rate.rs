@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crumple_verify::rate::tail_at_most;
 use crumple_verify::{Accepted, Certificate, Comparison, Provenance, Rate, Registration, Rejection, Statement, check};
 
-fn checked(statement: Statement) -> Result<Accepted, Rejection> {
+fn check_statement(statement: Statement) -> Result<Accepted, Rejection> {
     let nobody = Provenance::default();
     check(&Certificate { version: 1, provenance: nobody, assumptions: statement.assumptions(), statement })
 }
@@ -131,14 +131,14 @@ fn a_rate_next_to_nothing_has_all_of_the_tail() {
     }
 }
 
-fn refused_for(statement: Statement) -> String {
+fn rejection_text(statement: Statement) -> String {
     checked(statement).unwrap_err().to_string()
 }
 
 #[test]
 fn limits_of_what_is_registered_and_claimed_are_exact() {
     for confidence in [-1.0, 0.4, 0.5, 1.0, 1.1, f64::NAN] {
-        let refused = refused_for(Statement::Rate(rate(0, 100, 0.9, confidence)));
+        let refused = rejection_text(Statement::Rate(rate(0, 100, 0.9, confidence)));
         assert_eq!(refused, "`registration.confidence` must be between 1/2 and 1", "{confidence}");
     }
     for confidence in [0.5_f64.next_up(), 1.0_f64.next_down()] {
@@ -146,16 +146,16 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
         assert!(checked(Statement::Rate(rate(0, 100, 0.9, confidence))).is_ok(), "{confidence}");
     }
     for rate_at_most in [-0.1, 0.0, 1.0, 1.5, f64::NAN] {
-        let refused = refused_for(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
+        let refused = rejection_text(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
         assert_eq!(refused, "`rate_at_most` must be between 0 and 1", "{rate_at_most}");
     }
     assert!(checked(Statement::Rate(rate(99, 100, 1.0_f64.next_down(), 0.9))).is_ok());
     for (runs, failures) in [(0, 0), (1_000_000_001, 0)] {
-        let refused = refused_for(Statement::Rate(rate(failures, runs, 0.5, 0.9)));
+        let refused = rejection_text(Statement::Rate(rate(failures, runs, 0.5, 0.9)));
         assert_eq!(refused, "`registration.runs` must be from 1 to 1000 million", "{runs}");
     }
     for failures in [100, 101] {
-        let refused = refused_for(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
+        let refused = rejection_text(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
         assert_eq!(refused, "`failures` are all runs: no bound on the rate follows");
     }
     let comparison = |only_first_failed, only_second_failed| {
@@ -172,7 +172,7 @@ fn limits_of_what_is_registered_and_claimed_are_exact() {
     };
     assert_eq!(checked(comparison(0, 10)), Ok(Accepted::FailsLessOften { confidence: 0.99 }), "2^-10 is below 1 %");
     for only_second_failed in [11, 12, u64::MAX] {
-        let refused = refused_for(comparison(0, only_second_failed));
+        let refused = rejection_text(comparison(0, only_second_failed));
         assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");
     }
 }

@@ -5,7 +5,7 @@ use crumple_verify::reach::form::Form;
 use std::fmt::Debug;
 
 use crumple_verify::reach::{
-    Actor, Cell, Dimension, Doubt, Follower, Layer, Ranges, Reach, Reached, Scene, Step, Tube, reach, reach_with_tube,
+    Actor, Cell, Dimension, Undecided, Follower, Layer, Ranges, Reach, Reached, Scene, Step, ReachTube, reach, reach_with_tube,
 };
 use crumple_verify::{Accepted, Certificate, Interval, Provenance, Rejection, Statement, WorkLimit, check, check_with};
 use proptest::prelude::*;
@@ -14,7 +14,7 @@ use crate::support::closed_loop::{Numbers, Start, answers, scripted, simulate, s
 use crate::support::mutants::mutants;
 use crate::support::networks::{any_network, network};
 
-pub fn reference() -> Vec<u8> {
+pub fn reference_policy_bytes() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap()
 }
 
@@ -26,7 +26,7 @@ fn between(low: f64, high: f64) -> Interval {
 }
 
 /// The paper's scenario 1 with ranges.
-pub fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
+pub fn paper_box(gap_m: f64, brake_mps2: f64) -> Ranges {
     let at = Interval::point;
     Ranges {
         gap_ahead_m: between(16.0 - gap_m, 16.0 + gap_m),
@@ -40,7 +40,7 @@ pub fn paper(gap_m: f64, brake_mps2: f64) -> Ranges {
     }
 }
 
-pub fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
+pub fn paper_problem<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
     Scene {
         actor,
         ranges,
@@ -54,7 +54,7 @@ pub fn scene<'a>(actor: &'a Actor, ranges: Ranges) -> Scene<'a> {
     }
 }
 
-pub fn member(ranges: &Ranges, place: [f64; 8]) -> Start {
+pub fn box_member(ranges: &Ranges, place: [f64; 8]) -> Start {
     std::array::from_fn(|i| {
         let range = ranges.get(Dimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
@@ -62,7 +62,7 @@ pub fn member(ranges: &Ranges, place: [f64; 8]) -> Start {
 }
 
 /// The reference policy with each hidden unit there several times, of which each copy counts as much less.
-fn widened(actor: &Actor, copies: usize) -> Actor {
+fn widen_network(actor: &Actor, copies: usize) -> Actor {
     let last = actor.steps.iter().rposition(|step| matches!(step, Step::Linear(_)));
     let widen = |(index, step): (usize, &Step)| {
         let Step::Linear(layer) = step else { return step.clone() };
@@ -138,7 +138,7 @@ proptest! {
 /// A run, as it was observed at each decision and with its smallest gaps, is within the bounds of its scene; `whose` names it.
 pub fn is_bounded(
     scene: &Scene<'_>,
-    (reached, tube): &(Reached, Option<Tube>),
+    (reached, tube): &(Reached, Option<ReachTube>),
     (trace, least): (Vec<[f64; 8]>, [f64; 2]),
     whose: &impl Debug,
 ) -> Result<(), TestCaseError> {
@@ -202,7 +202,7 @@ fn who_stands_is_not_forgotten() {
 }
 
 /// Starts that come as close to contact as hill climbing finds; the smallest gap.
-pub fn attacked(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
+pub fn min_gap_under_attack(scene: &Scene<'_>, random: usize, adversarial: usize, seed: u64) -> f64 {
     let mut numbers = Numbers(seed);
     let gap = |place: [f64; 8]| {
         let start = member(&scene.ranges, place);
@@ -425,10 +425,10 @@ fn why_a_box_is_undecided_is_said() {
     let actor = Actor::from_bytes(&reference()).unwrap();
     let mut wide = paper(3.0, 1.0);
     let reached = reach(&scene(&actor, wide));
-    assert!(matches!(reached.doubt, Some(Doubt::MayTouch { .. })) && !reached.touches, "{reached:?}");
+    assert!(matches!(reached.doubt, Some(Undecided::MayTouch { .. })) && !reached.touches, "{reached:?}");
     assert!(reached.sensitivity[0] > 0.0 && reached.sensitivity[2] == 0.0, "{reached:?}");
     wide.ego_speed_mps = between(0.0, 100.0);
-    assert!(matches!(reach(&scene(&actor, wide)).doubt, Some(Doubt::TooWide { step: 0 })));
+    assert!(matches!(reach(&scene(&actor, wide)).doubt, Some(Undecided::TooWide { step: 0 })));
 }
 
 /// A policy that decides at every step stops at hundreds of instants, of which none may open a case of its own.

@@ -3,9 +3,9 @@
 use crumple_verify::reach::{AccAeb, Actor, Cell, Departure, Dimension, Idm, Law, Layer, Own, Ranges, Reach};
 use crumple_verify::{Interval, Rejection};
 
-use crate::driven::{ACC_AEB, IDM};
+use crate::law_follower::{ACC_AEB, IDM};
 
-fn actor() -> Actor {
+fn zero_controller() -> Actor {
     Actor::from(Own {
         layers: vec![Layer { inputs: 8, outputs: 1, weights: vec![0.0; 8], biases: vec![0.0] }],
         offset: [0.0; 8],
@@ -149,7 +149,7 @@ fn replace(text: &mut String, from: &str, to: &str) {
 }
 
 /// Lets actions depart from a law.
-fn departing(text: &mut String, how: &str) {
+fn insert_residual(text: &mut String, how: &str) {
     replace(text, "\"low_mps2\":-7.5", &format!("\"low_mps2\":-7.5,\"departs_from\":{{{how}}}"));
 }
 
@@ -176,8 +176,8 @@ fn a_policy_that_departs_from_a_law_is_read_with_it() {
 #[test]
 fn what_the_simulator_does_not_drive_with_is_refused() {
     assert!(Actor::from_bytes(&with_header(|_, _| ())).is_ok());
-    type Change = fn(&mut String, &mut String);
-    let changes: [(&str, Change); 18] = [
+    type PolicyTextMutation = fn(&mut String, &mut String);
+    let changes: [(&str, PolicyTextMutation); 18] = [
         ("version 2 is not known", |text, _| replace(text, "\"version\":1", "\"version\":2")),
         ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
         ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),

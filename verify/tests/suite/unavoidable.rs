@@ -7,7 +7,7 @@ use crumple_verify::*;
 use proptest::prelude::*;
 
 prop_compose! {
-    fn cases(egos: usize)(scene in scenes(egos))(
+    fn any_case(egos: usize)(scene in scenes(egos))(
         branch in branches(&scene), profiles in profiles(&scene), picks in prop::collection::vec(0.0..=1.0_f64, 32),
         corners in any::<bool>(), scene in Just(scene),
     ) -> (Scene, Branch, support::Member, Vec<Vec<f64>>) {
@@ -250,14 +250,14 @@ fn contact_at_the_start_is_unavoidable() {
 }
 
 /// A car at 20 m/s that stands after 25 m and 2.5 s, which is when the scene ends, so far behind one that stands.
-fn stopping(gap_m: f64, follower: Option<Follower>) -> Scene {
+fn stopping_scene(gap_m: f64, follower: Option<Follower>) -> Scene {
     let mut scene = Scene { step_s: 0.5, steps: 5, follower, ..standing_leader(gap_m) };
     scene.leader.acceleration_mps2[0].0 = 5;
     scene
 }
 
 /// The row that whoever brakes fully satisfies least: where it is at the end.
-fn at_the_end(first: u32) -> Branch {
+fn final_branch(first: u32) -> Branch {
     Branch { first, last: 5, front: vec![(5, 2.0)], ..Branch::default() }
 }
 
@@ -268,7 +268,7 @@ fn gap_bound(scene: &Scene, branches: &[Branch], gap_m: f64) -> Result<Accepted,
 
 #[test]
 fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
-    let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping(gap_m, None), &[at_the_end(0)], stated_m);
+    let with = |gap_m: f64, stated_m: f64| gap_bound(&stopping(gap_m, None), &[final_branch(0)], stated_m);
     let Ok(Accepted::GapBound { gap_m, horizon_s }) = with(30.0, 5.5) else { panic!("{:?}", with(30.0, 5.5)) };
     assert!(gap_m >= 5.0 && gap_m - 5.0 < 1e-12 && horizon_s == 2.5, "{gap_m} {horizon_s}");
     assert_eq!(with(30.0, gap_m), Ok(Accepted::GapBound { gap_m, horizon_s }));
@@ -295,7 +295,7 @@ fn how_large_a_gap_nobody_keeps_is_what_full_braking_leaves() {
 fn a_branch_that_nobody_is_in_takes_nothing_away() {
     let follower = follower_at(-50.0, 0.0);
     let fires = |k: u32| Branch { first: k, last: k, fired: 1.0, ..Branch::default() };
-    let branches: Vec<Branch> = (0..5).map(fires).chain([at_the_end(5)]).collect();
+    let branches: Vec<Branch> = (0..5).map(fires).chain([final_branch(5)]).collect();
     let scene = |gap_m: f64| stopping(gap_m, Some(follower.clone()));
     assert_eq!(check_branch(&scene(20.0), &branches[3], 3), Ok(f64::INFINITY));
     match gap_bound(&scene(30.0), &branches, 5.5) {
@@ -312,7 +312,7 @@ fn a_branch_that_nobody_is_in_takes_nothing_away() {
 
 #[test]
 fn a_branch_alone_lies_within_the_instants_too() {
-    let of = |first, last| check_branch(&stopping(20.0, None), &Branch { first, last, ..at_the_end(0) }, 7);
+    let of = |first, last| check_branch(&stopping(20.0, None), &Branch { first, last, ..final_branch(0) }, 7);
     assert!(of(0, 5).is_ok() && of(5, 5).is_ok());
     for (first, last) in [(3, 2), (0, 6), (6, 6), (6, 5)] {
         assert_eq!(of(first, last), Err(Rejection::Tiling { branch: 7 }), "{first} {last}");
@@ -347,7 +347,7 @@ fn work_is_counted_for_every_instant_and_vehicle() {
         let mut scene = stopping(20.0, follower);
         scene.egos = vec![scene.egos[0].clone(); egos];
         let (witness, min_gap_m_at_least) = (vec![vec![Held(5, 0.0)]; egos], None);
-        let branches = vec![at_the_end(0)];
+        let branches = vec![final_branch(0)];
         for statement in [
             Statement::Avoidable(Avoidable { scene: scene.clone(), witness, min_gap_m_at_least }),
             Statement::Unavoidable(Unavoidable { scene: scene.clone(), branches: branches.clone() }),

@@ -4,11 +4,11 @@ use crumple_verify::{Accepted, Certificate, Rejection, Statement, WorkLimit, che
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::driven::IDM;
+use crate::law_follower::IDM;
 
 const POLICY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors");
 
-fn file(name: &str, assumptions: &[&str], claim: Value) -> Certificate {
+fn certificate_from_json(name: &str, assumptions: &[&str], claim: Value) -> Certificate {
     let nobody = json!({"crumple": "", "scenario": "", "scenario_sha256": ""});
     let statement = Value::Object([(name.to_owned(), claim)].into_iter().collect());
     let file = json!({"version": 1, "provenance": nobody, "assumptions": assumptions, "statement": statement});
@@ -20,7 +20,7 @@ fn policy() -> Vec<u8> {
 }
 
 /// A box around the paper's scenario 1, cut and cut again, all of whose cells are said to be safe for so many steps.
-fn reach(cuts: u32, steps: u32) -> Certificate {
+fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
     fn cells(cuts: u32) -> Vec<Value> {
         match cuts {
             0 => vec![json!("verified")],
@@ -44,7 +44,7 @@ fn reach(cuts: u32, steps: u32) -> Certificate {
 }
 
 /// One of each other kind, all of them true.
-fn others() -> Vec<Certificate> {
+fn other_certificates() -> Vec<Certificate> {
     let leader = json!({"position_m": 3, "length_m": 2, "speed_mps": 0, "acceleration_mps2": [[1000, 0]]});
     let scene = |x: f64, v: f64| {
         let ego = json!({"position_m": x, "length_m": 2, "speed_mps": v, "max_brake_mps2": 8, "max_accel_mps2": 3});
@@ -101,9 +101,9 @@ fn what_announces_much_is_given_up() {
 #[test]
 fn limits_are_said_in_whole_billions() {
     for (operations, billions) in [(0, 0), (999_999_999, 0), (1_000_000_000, 1), (7_999_999_999, 7)] {
-        assert_eq!(WorkLimit::operations(operations).in_billions(), billions);
+        assert_eq!(WorkLimit::operations(operations).to_billions(), billions);
     }
-    assert_eq!((WorkLimit::billions(3).in_billions(), WorkLimit::default().in_billions()), (3, 4000));
+    assert_eq!((WorkLimit::billions(3).to_billions(), WorkLimit::default().to_billions()), (3, 4000));
 }
 
 /// Who follows by a law takes operations in every step, however rarely the ego decides: some 300 000 of them here.

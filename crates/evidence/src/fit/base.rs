@@ -3,7 +3,7 @@
 use super::episodes::Sample;
 use super::space::median;
 use crumple_world::control::{AebSettings, ControllerSpec};
-use crumple_world::recording::HARDEST_CHANGE_MPS2;
+use crumple_world::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
 use crumple_world::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
@@ -14,7 +14,7 @@ const ONSET_S: f64 = 1.0;
 const TAIL_S: f64 = 10.0;
 
 /// The scenario in which the numbers vary: of three or more vehicles the last one keeps the baseline, as of imported episodes.
-pub(super) fn base(sample: &Sample, name: &str) -> ScenarioSpec {
+pub(super) fn base_scenario(sample: &Sample, name: &str) -> ScenarioSpec {
     let values = |index: usize| sample.observed.parameters.get(index).map_or(&[][..], |one| one.values.as_slice());
     let (speed_mps, brake_mps2, final_share) = (median(values(0)), median(values(1)), median(values(2)));
     let lead = LeadProfile::BrakeToSpeed(BrakeToSpeed {
@@ -32,10 +32,10 @@ pub(super) fn base(sample: &Sample, name: &str) -> ScenarioSpec {
         // Far enough apart at any speed; gaps are parameters.
         let position_m = 200.0 * (last - index) as f64;
         let length_m = sample.sizes.get(index).map_or(crumple_world::recording::CAR_LENGTH_M, |sizes| sizes.usual_m());
-        let mut vehicle = VehicleSpec::new(VehicleClass::of_length(length_m), position_m, speed_mps, driver);
+        let mut vehicle = VehicleSpec::new(VehicleClass::from_length(length_m), position_m, speed_mps, driver);
         vehicle.length_m = Some(length_m);
         if index == 0 {
-            vehicle.max_brake_mps2 = Some(HARDEST_CHANGE_MPS2);
+            vehicle.max_brake_mps2 = Some(MAX_PLAUSIBLE_ACCEL_MPS2);
         }
         vehicle
     };
@@ -43,7 +43,7 @@ pub(super) fn base(sample: &Sample, name: &str) -> ScenarioSpec {
         version: SCENARIO_VERSION,
         name: name.to_owned(),
         about: format!("A scenario of the space `{name}`."),
-        duration_s: (ONSET_S + slowest_s(sample) + TAIL_S).ceil(),
+        duration_s: (ONSET_S + longest_braking_s(sample) + TAIL_S).ceil(),
         step_s: 0.01,
         seed: 0,
         environment: Environment::default(),
@@ -54,14 +54,14 @@ pub(super) fn base(sample: &Sample, name: &str) -> ScenarioSpec {
 
 /// How long the leader brakes at most, in seconds: from the highest speed of the space as gently as it has it, and as far. Whatever is drawn, and
 /// whatever a resample makes of the distributions within their ranges, is over then.
-fn slowest_s(sample: &Sample) -> f64 {
+fn longest_braking_s(sample: &Sample) -> f64 {
     let end = |index: usize, which: usize| sample.numbers.get(index).map_or(0.0, |number| number.range[which]);
     let (fastest_mps, softest_mps2, final_share) = (end(0, 1), end(1, 0), end(2, 0));
     fastest_mps * (1.0 - final_share) / softest_mps2
 }
 
 /// Where the space is from, and what is not in it.
-pub(super) fn about(sample: &Sample) -> String {
+pub(super) fn describe_space(sample: &Sample) -> String {
     let Sample { taken, observed, exposure, left_out, sizes, .. } = sample;
     let waves = observed.waves.iter().max().map_or(0, |last| last + 1);
     let mut about = format!(

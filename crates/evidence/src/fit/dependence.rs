@@ -6,12 +6,12 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crumple_world::scenario::space::{Distribution, Value};
 
 /// The least eigenvalue of a matrix of which entries were found pair by pair: such entries need not fit together.
-const LEAST_EIGENVALUE: f64 = 1e-3;
+const MIN_EIGENVALUE: f64 = 1e-3;
 /// The strongest correlation that is looked for where values have probabilities of their own.
-const STRONGEST: f64 = 0.99;
+const MAX_CORRELATION: f64 = 0.99;
 
 /// Values of a number, and how it is distributed.
-pub(super) struct Column<'a> {
+pub(super) struct CopulaColumn<'a> {
     pub(super) values: &'a [f64],
     pub(super) distribution: &'a Distribution,
 }
@@ -24,8 +24,8 @@ pub(super) struct Column<'a> {
 /// weaker than it is. Where one of two numbers has such values, their correlation is the likeliest one of the two normal numbers, with scores for
 /// all other values (a polyserial correlation: Olsson, Drasgow and Dorans, Psychometrika 47, 1982); ln (1 − ρ²) is added to the logarithm of the
 /// likelihood, so that few values do not make a certainty.
-pub(super) fn correlation(columns: &[Column<'_>]) -> Vec<Vec<f64>> {
-    let latent: Vec<Latents> = columns.iter().map(Latents::of).collect();
+pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>> {
+    let latent: Vec<LatentColumn> = columns.iter().map(LatentColumn::of).collect();
     let entry = |row: usize, column: usize| {
         if row == column {
             return 1.0;
@@ -34,11 +34,11 @@ pub(super) fn correlation(columns: &[Column<'_>]) -> Vec<Vec<f64>> {
         latent[row.min(column)].correlation(&latent[row.max(column)])
     };
     let found = (0..latent.len()).map(|row| (0..latent.len()).map(|column| entry(row, column)).collect()).collect();
-    if latent.iter().any(|one| one.has_points) { fitting_together(found) } else { found }
+    if latent.iter().any(|one| one.has_points) { shrink_to_positive_definite(found) } else { found }
 }
 
 /// The matrix, drawn towards independence as far as it takes to have no eigenvalue below the least.
-pub(super) fn fitting_together(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| entries[row][column]);
     let least = least.symmetric_eigenvalues().min();
     if least >= LEAST_EIGENVALUE {
@@ -54,22 +54,22 @@ pub(super) fn fitting_together(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
 
 /// What is known of the normal number behind a value.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Latent {
-    Exactly(f64),
-    Between(f64, f64),
+enum LatentNormal {
+    Exact(f64),
+    Interval(f64, f64),
 }
 
 /// The normal numbers behind the values of a column.
-struct Latents {
+struct LatentColumn {
     /// The score of each value, equal ones with the mean of their ranks.
     scores: Vec<f64>,
-    known: Vec<Latent>,
+    latent: Vec<LatentNormal>,
     has_points: bool,
 }
 
-impl Latents {
-    fn of(column: &Column<'_>) -> Self {
-        let Column { values, distribution } = *column;
+impl LatentColumn {
+    fn new(column: &CopulaColumn<'_>) -> Self {
+        let CopulaColumn { values, distribution } = *column;
         let is_point = |value: f64| match distribution {
             Distribution::Choice(_) => true,
             Distribution::PointMass(point) => value == point.at,
@@ -89,7 +89,7 @@ impl Latents {
         let spread = ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-        let (mut scores, mut known) = (vec![0.0; n], vec![Latent::Exactly(0.0); n]);
+        let (mut scores, mut known) = (vec![0.0; n], vec![LatentNormal::Exactly(0.0); n]);
         let mut before = 0;
         for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
             let until = before + equal.len();
@@ -102,11 +102,11 @@ impl Latents {
             };
             let is_point = equal.first().is_some_and(|&index| is_point(column.values[index]));
             let latent =
-                if is_point { Latent::Between(end(before), end(until)) } else { Latent::Exactly(middle / spread) };
+                if is_point { LatentNormal::Between(end(before), end(until)) } else { LatentNormal::Exactly(middle / spread) };
             equal.iter().for_each(|&index| (scores[index], known[index]) = (middle, latent));
             before = until;
         }
-        let has_points = known.iter().any(|latent| matches!(latent, Latent::Between(..)));
+        let has_points = known.iter().any(|latent| matches!(latent, LatentNormal::Between(..)));
         Self { scores, known, has_points }
     }
 
@@ -116,35 +116,35 @@ impl Latents {
             let (a, b) = (&self.scores, &other.scores);
             return (product(a, b) / (product(a, a) * product(b, b)).sqrt()).clamp(-1.0, 1.0);
         }
-        let pairs = Pairs::of(self, other);
+        let pairs = LatentPairs::of(self, other);
         likeliest(&|rho| pairs.ln_likelihood(rho))
     }
 }
 
 /// Pairs of normal numbers, as far as they are known.
 #[derive(Default)]
-struct Pairs {
+struct LatentPairs {
     /// Of those of which both are known: how many, Σ x² + y², and Σ x y.
-    exact: [f64; 3],
+    exact_sums: [f64; 3],
     /// A number and the ends of the other.
-    half: Vec<(f64, [f64; 2])>,
+    half_exact: Vec<(f64, [f64; 2])>,
     /// Ends of both, and how many there are.
     rectangles: Vec<([f64; 2], [f64; 2], f64)>,
 }
 
-impl Pairs {
-    fn of(a: &Latents, b: &Latents) -> Self {
+impl LatentPairs {
+    fn new(a: &LatentColumn, b: &LatentColumn) -> Self {
         let mut pairs = Self::default();
         for pair in a.known.iter().zip(&b.known) {
             match pair {
-                (Latent::Exactly(x), Latent::Exactly(y)) => {
+                (LatentNormal::Exactly(x), LatentNormal::Exactly(y)) => {
                     let [count, squares, products] = &mut pairs.exact;
                     (*count, *squares, *products) = (*count + 1.0, *squares + x * x + y * y, *products + x * y);
                 }
-                (Latent::Exactly(x), Latent::Between(low, high)) | (Latent::Between(low, high), Latent::Exactly(x)) => {
+                (LatentNormal::Exactly(x), LatentNormal::Between(low, high)) | (LatentNormal::Between(low, high), LatentNormal::Exactly(x)) => {
                     pairs.half.push((*x, [*low, *high]));
                 }
-                (Latent::Between(low_x, high_x), Latent::Between(low_y, high_y)) => {
+                (LatentNormal::Between(low_x, high_x), LatentNormal::Between(low_y, high_y)) => {
                     let (x, y) = ([*low_x, *high_x], [*low_y, *high_y]);
                     match pairs.rectangles.iter_mut().find(|known| (known.0, known.1) == (x, y)) {
                         Some(known) => known.2 += 1.0,
@@ -165,7 +165,7 @@ impl Pairs {
         let given = |x: f64, end: f64| if end.is_finite() { cdf((end - rho * x) / rest.sqrt()) } else { cdf(end) };
         let half = |(x, [low, high]): &(f64, [f64; 2])| (given(*x, *high) - given(*x, *low)).max(1e-300).ln();
         let rectangle = |([left, right], [low, high], count): &([f64; 2], [f64; 2], f64)| {
-            let below = |x: f64, y: f64| both_below(x, y, rho);
+            let below = |x: f64, y: f64| bivariate_normal_cdf(x, y, rho);
             let inside = below(*right, *high) - below(*left, *high) - below(*right, *low) + below(*left, *low);
             count * inside.max(1e-300).ln()
         };
@@ -175,7 +175,7 @@ impl Pairs {
 
 /// The probability that two correlated normal numbers are below `x` and `y`: Φ(x) Φ(y) + ∫ φ₂(x, y; r) dr from 0 to ρ, with r = sin θ (Drezner and
 /// Wesolowsky, On the computation of the bivariate normal integral, 1990).
-fn both_below(x: f64, y: f64, rho: f64) -> f64 {
+fn bivariate_normal_cdf(x: f64, y: f64, rho: f64) -> f64 {
     const PARTS: usize = 32;
     let apart = Normal::standard().cdf(x) * Normal::standard().cdf(y);
     if !(x.is_finite() && y.is_finite()) {
@@ -190,10 +190,10 @@ fn both_below(x: f64, y: f64, rho: f64) -> f64 {
 }
 
 /// Where a function of a correlation is largest: the best of a coarse grid, made finer by the golden section.
-fn likeliest(of: &dyn Fn(f64) -> f64) -> f64 {
+fn maximize_over_correlation(of: &dyn Fn(f64) -> f64) -> f64 {
     const GRID: i32 = 20;
     const STEPS: usize = 40;
-    let at = |index: i32| STRONGEST * f64::from(index) / f64::from(GRID);
+    let at = |index: i32| MAX_CORRELATION * f64::from(index) / f64::from(GRID);
     let best = (-GRID..=GRID).max_by(|&a, &b| of(at(a)).total_cmp(&of(at(b)))).unwrap_or(0);
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut low, mut high) = (at((best - 1).max(-GRID)), at((best + 1).min(GRID)));
@@ -223,10 +223,10 @@ mod tests {
     fn probabilities_of_rectangles_are_known() {
         for rho in [-0.95_f64, -0.4, 0.0, 0.3, 0.9] {
             let known = 0.25 + rho.asin() / (2.0 * std::f64::consts::PI);
-            assert!((both_below(0.0, 0.0, rho) - known).abs() < 1e-9, "{rho}");
-            assert!((both_below(0.7, f64::INFINITY, rho) - Normal::standard().cdf(0.7)).abs() < 1e-12);
-            assert!((both_below(0.7, 9.0, rho) - Normal::standard().cdf(0.7)).abs() < 1e-6, "{rho}");
-            assert_eq!(both_below(f64::NEG_INFINITY, 0.7, rho), 0.0);
+            assert!((bivariate_normal_cdf(0.0, 0.0, rho) - known).abs() < 1e-9, "{rho}");
+            assert!((bivariate_normal_cdf(0.7, f64::INFINITY, rho) - Normal::standard().cdf(0.7)).abs() < 1e-12);
+            assert!((bivariate_normal_cdf(0.7, 9.0, rho) - Normal::standard().cdf(0.7)).abs() < 1e-6, "{rho}");
+            assert_eq!(bivariate_normal_cdf(f64::NEG_INFINITY, 0.7, rho), 0.0);
         }
     }
 }

@@ -3,16 +3,16 @@
 use serde::Serialize;
 
 use super::FitError;
-use super::sizes::Sizes;
+use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    Dropped, Episode, HARDEST_CHANGE_MPS2, Hardest, Leaders, MinBrake, NoScenario, Omission, Recording, episodes,
+    Dropped, Episode, MAX_PLAUSIBLE_ACCEL_MPS2, Hardest, Leaders, MinBrake, EpisodeProblem, Omission, Recording, episodes,
     followed, hardest_braking, waves,
 };
 use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, SourceExposure};
 
 /// What is taken of recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Taken {
+pub struct ExtractionConfig {
     /// Vehicles of a scenario, the leader among them: 2 to [`MOST_VEHICLES`].
     pub vehicles: usize,
     /// The least braking that makes an episode.
@@ -22,18 +22,18 @@ pub struct Taken {
 }
 
 /// The most vehicles of a scenario that is fitted: two numbers more each.
-pub const MOST_VEHICLES: usize = 5;
+pub const MAX_VEHICLES: usize = 5;
 /// The most episodes, and the most recordings.
-const MOST_EPISODES: usize = 10_000;
-const MOST_RECORDINGS: usize = 1000;
+const MAX_EPISODES: usize = 10_000;
+const MAX_RECORDINGS: usize = 1000;
 /// Slower than this a vehicle stands, in m/s: what is recorded of one that does.
 const STANDSTILL_MPS: f64 = 0.1;
 /// Episodes for each number that is fitted.
-const EPISODES_A_NUMBER: usize = 4;
+const EPISODES_PER_FEATURE: usize = 4;
 
 /// A number of an episode, and the field of a scenario that it sets.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Number {
+pub struct EpisodeFeature {
     /// Its name.
     pub name: String,
     /// The field.
@@ -45,7 +45,7 @@ pub struct Number {
     /// One of these that has a probability of its own, if it is seen.
     pub point_mass: Option<f64>,
     /// The two values that it has, if these are all.
-    pub few: Option<[f64; 2]>,
+    pub choices: Option<[f64; 2]>,
 }
 
 impl Number {
@@ -54,9 +54,9 @@ impl Number {
     }
 }
 
-/// The numbers of an episode with so many vehicles, in their order in [`Sample`], in which sizes of vehicles follow.
+/// The numbers of an episode with so many vehicles, in their order in [`EpisodeSample`], in which sizes of vehicles follow.
 #[must_use]
-pub(crate) fn numbers(taken: &Taken) -> Vec<Number> {
+pub(crate) fn features(taken: &ExtractionConfig) -> Vec<Number> {
     let number = Number::new;
     let mut all = vec![
         number("lead_speed_mps", "vehicles[*].speed_mps", "m/s", [1.0, 50.0]),
@@ -64,7 +64,7 @@ pub(crate) fn numbers(taken: &Taken) -> Vec<Number> {
             "lead_brake_mps2",
             "vehicles[0].driver.brake-to-speed.rate_mps2",
             "m/s²",
-            [taken.min_brake.mps2(), HARDEST_CHANGE_MPS2],
+            [taken.min_brake.mps2(), MAX_PLAUSIBLE_ACCEL_MPS2],
         ),
         Number {
             point_mass: Some(0.0),
@@ -80,7 +80,7 @@ pub(crate) fn numbers(taken: &Taken) -> Vec<Number> {
 }
 
 /// The numbers of an episode, none if fewer vehicles were recorded. Vehicles further back are left out.
-fn numbers_of(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
+fn feature_values(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
     let lowest_mps = Some(lowest_mps(episode)).filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS).unwrap_or(0.0);
@@ -102,33 +102,37 @@ fn lowest_mps(episode: &Episode) -> f64 {
 
 /// How many episodes are needed for so many numbers.
 #[must_use]
-pub(crate) fn least_episodes(numbers: usize) -> usize {
-    EPISODES_A_NUMBER * numbers
+pub(crate) fn min_episodes(numbers: usize) -> usize {
+    EPISODES_PER_FEATURE * numbers
 }
 
 /// Brakings that the space does not describe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct LeftOut {
+pub struct ExclusionCounts {
     /// Nobody was known behind at the time: these are in none of the hours.
-    pub nobody_behind: usize,
+    #[serde(rename = "nobody_behind")]
+    pub no_follower: usize,
     /// With fewer vehicles than a scenario has: these are in none of the hours.
-    pub shorter: usize,
+    #[serde(rename = "shorter")]
+    pub too_few_vehicles: usize,
     /// Recorded speeds change faster than any road vehicle's.
-    pub impossible: usize,
+    #[serde(rename = "impossible")]
+    pub impossible_speeds: usize,
     /// With a number that no scenario of the space may have.
-    pub outside: usize,
+    #[serde(rename = "outside")]
+    pub out_of_range: usize,
 }
 
-impl LeftOut {
+impl ExclusionCounts {
     /// Those within the hours that are counted.
     #[must_use]
-    pub(crate) fn in_exposure(&self) -> usize {
+    pub(crate) fn count_in_exposure(&self) -> usize {
         self.impossible + self.outside
     }
 
-    fn count(&mut self, dropped: &Dropped) {
+    fn add(&mut self, dropped: &Dropped) {
         match dropped.what {
-            Omission::Episode { why: NoScenario::NoFollower { .. } | NoScenario::NobodyBehind { .. }, .. } => {
+            Omission::Episode { why: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NobodyBehind { .. }, .. } => {
                 self.nobody_behind += 1;
             }
             Omission::Episode { .. } => self.impossible += 1,
@@ -138,7 +142,7 @@ impl LeftOut {
 
     /// What was left out, a sentence each, of episodes of so many vehicles.
     #[must_use]
-    pub fn in_words(&self, vehicles: usize) -> Vec<String> {
+    pub fn sentences(&self, vehicles: usize) -> Vec<String> {
         let Self { nobody_behind, shorter, impossible, outside } = self;
         let mut words = Vec::new();
         if nobody_behind + shorter > 0 {
@@ -158,57 +162,57 @@ impl LeftOut {
 
 /// Episodes as numbers, and in how much driving they were.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sample {
+pub struct EpisodeSample {
     /// What was taken.
-    pub taken: Taken,
+    pub extraction: ExtractionConfig,
     /// What the numbers are, ...
-    pub numbers: Vec<Number>,
+    pub features: Vec<Number>,
     /// ... and what they were.
     pub observed: Observed,
     /// In how much driving.
     pub exposure: Exposure,
     /// How large the vehicles were, front to rear.
-    pub sizes: Vec<Sizes>,
+    pub sizes: Vec<VehicleSizes>,
     /// What is not among the episodes.
-    pub left_out: LeftOut,
+    pub exclusions: ExclusionCounts,
     /// Which number was most often the first outside what a scenario may have.
-    pub outside_by: Option<String>,
+    pub most_out_of_range: Option<String>,
 }
 
-impl Sample {
+impl EpisodeSample {
     /// The numbers of the episodes in recordings.
     ///
     /// # Errors
     /// [`FitError::TooFew`] and [`FitError::TooMany`] for a number of episodes that cannot be fitted, [`FitError::Vehicles`],
     /// [`FitError::MinBrake`].
-    pub fn of(recordings: &[Recording], taken: Taken) -> Result<Self, FitError> {
+    pub fn from_recordings(recordings: &[Recording], taken: ExtractionConfig) -> Result<Self, FitError> {
         let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
         if !(2..=MOST_VEHICLES).contains(&vehicles) {
             return Err(FitError::Vehicles { found: vehicles });
         }
-        if found >= HARDEST_CHANGE_MPS2 {
-            return Err(FitError::MinBrake { found, limit: HARDEST_CHANGE_MPS2 });
+        if found >= MAX_PLAUSIBLE_ACCEL_MPS2 {
+            return Err(FitError::MinBrake { found, limit: MAX_PLAUSIBLE_ACCEL_MPS2 });
         }
-        if recordings.len() > MOST_RECORDINGS {
-            return Err(FitError::TooMany { found: recordings.len(), most: MOST_RECORDINGS, what: "recordings" });
+        if recordings.len() > MAX_RECORDINGS {
+            return Err(FitError::TooMany { found: recordings.len(), most: MAX_RECORDINGS, what: "recordings" });
         }
-        let mut collected = Collected::new(taken);
+        let mut collected = EpisodeCollector::new(taken);
         recordings.iter().try_for_each(|recording| collected.add(recording))?;
-        let Collected { mut numbers, waves, mut columns, lengths, sources, left_out, outside, .. } = collected;
+        let EpisodeCollector { mut numbers, waves, mut columns, lengths, sources, left_out, outside, .. } = collected;
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
-        let sizes: Vec<Sizes> = lengths.iter().map(|lengths| Sizes::of(lengths)).collect();
+        let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::of(lengths)).collect();
         for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
             if let Some(number) = sizes.number(index) {
                 numbers.push(number);
                 columns.push(sizes.of_each(lengths));
             }
         }
-        let (found, needed) = (waves.len(), least_episodes(numbers.len()));
+        let (found, needed) = (waves.len(), min_episodes(numbers.len()));
         if found < needed {
             let mut most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
             if left_out.impossible + left_out.nobody_behind > 0 {
-                let LeftOut { nobody_behind, impossible, .. } = left_out;
+                let ExclusionCounts { nobody_behind, impossible, .. } = left_out;
                 most += &format!(", {nobody_behind} nobody known behind, {impossible} speeds that no vehicle has");
             }
             // A recording in which no braking can be seen looks like one in which nobody brakes.
@@ -233,7 +237,7 @@ impl Sample {
             episodes: found as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
-            left_out: left_out.in_exposure() as u64,
+            left_out: left_out.count_in_exposure() as u64,
             sources,
         };
         let observed =
@@ -243,23 +247,23 @@ impl Sample {
 }
 
 /// What recordings hold, one after the other.
-struct Collected {
-    taken: Taken,
-    numbers: Vec<Number>,
+struct EpisodeCollector {
+    extraction: ExtractionConfig,
+    features: Vec<Number>,
     /// The wave of each episode.
-    waves: Vec<u32>,
+    clusters: Vec<u32>,
     /// The values of each number.
     columns: Vec<Vec<f64>>,
     /// The lengths of each vehicle, front to rear, as far as they were recorded.
     lengths: Vec<Vec<Option<f64>>>,
     sources: Vec<SourceExposure>,
-    left_out: LeftOut,
+    exclusions: ExclusionCounts,
     /// How often each number was the first outside its range.
-    outside: Vec<usize>,
+    out_of_range: Vec<usize>,
 }
 
-impl Collected {
-    fn new(taken: Taken) -> Self {
+impl EpisodeCollector {
+    fn new(taken: ExtractionConfig) -> Self {
         let numbers = numbers(&taken);
         Self {
             taken,
@@ -267,23 +271,23 @@ impl Collected {
             columns: vec![Vec::new(); numbers.len()],
             lengths: vec![Vec::new(); taken.vehicles],
             sources: Vec::new(),
-            left_out: LeftOut::default(),
+            left_out: ExclusionCounts::default(),
             outside: vec![0; numbers.len()],
             numbers,
         }
     }
 
     fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
-        let Taken { vehicles, min_brake, leaders } = self.taken;
+        let ExtractionConfig { vehicles, min_brake, leaders } = self.taken;
         let found = episodes(recording, min_brake, leaders);
         if found.episodes.len() > MOST_EPISODES {
             return Err(FitError::TooMany { found: found.episodes.len(), most: MOST_EPISODES, what: "episodes" });
         }
-        let (before, left_out) = (self.waves.len(), self.left_out.in_exposure());
+        let (before, left_out) = (self.waves.len(), self.left_out.count_in_exposure());
         let first_wave = self.waves.iter().max().map_or(0, |last| last + 1);
         found.dropped.iter().for_each(|dropped| self.left_out.count(dropped));
         for (episode, wave) in found.episodes.iter().zip(waves(&found.episodes)) {
-            let Some(values) = numbers_of(episode, vehicles) else {
+            let Some(values) = feature_values(episode, vehicles) else {
                 self.left_out.shorter += 1;
                 continue;
             };
@@ -304,14 +308,14 @@ impl Collected {
             episodes: (self.waves.len() - before) as u64,
             hours: driven.hours,
             kilometres: driven.kilometres,
-            left_out: (self.left_out.in_exposure() - left_out) as u64,
+            left_out: (self.left_out.count_in_exposure() - left_out) as u64,
         });
         Ok(())
     }
 }
 
 /// Waves numbered from 0 without holes, in their order.
-fn renumbered(waves: &[u32]) -> Vec<u32> {
+fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
     let mut known: Vec<u32> = waves.to_vec();
     known.sort_unstable();
     known.dedup();

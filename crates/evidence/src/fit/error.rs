@@ -1,7 +1,7 @@
 //! Why no space can be fitted.
 
 use super::MOST_VEHICLES;
-use super::family::NoFit;
+use super::family::FamilyFitError;
 use crumple_world::scenario::space::InvalidSpace;
 
 /// Why no space can be fitted.
@@ -35,11 +35,11 @@ pub enum FitError {
         /// Vehicles of an episode.
         vehicles: usize,
         /// How many have fewer vehicles.
-        shorter: usize,
+        too_few_vehicles: usize,
         /// How many are not described by the space.
-        outside: usize,
+        out_of_range: usize,
         /// By which number most of these, and what else there was, in words.
-        most: String,
+        details: String,
     },
     /// More than a space may keep.
     #[error("{found} {what}: at most {most} can be fitted")]
@@ -47,7 +47,7 @@ pub enum FitError {
         /// How many there are.
         found: usize,
         /// How many there may be.
-        most: usize,
+        max: usize,
         /// Of what.
         what: &'static str,
     },
@@ -57,7 +57,7 @@ pub enum FitError {
         /// Its name.
         name: String,
         /// Why.
-        why: NoFit,
+        why: FamilyFitError,
     },
     /// What was fitted is no space.
     #[error("what was fitted is no space: {0}")]

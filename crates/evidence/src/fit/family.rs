@@ -4,12 +4,12 @@ use serde::Serialize;
 use statrs::function::gamma::ln_gamma;
 
 use super::minimum::{hessian, minimum};
-use crumple_world::scenario::space::{Distribution, LogNormal, Normal, ShapeScale, Uniform};
+use crumple_world::scenario::space::{Distribution, LogNormal, Normal, ShapeScaleSpec, Uniform};
 
 /// A family of distributions with two parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Family {
+pub enum DistributionFamily {
     /// Every value alike between two.
     Uniform,
     /// Normal.
@@ -26,9 +26,10 @@ pub enum Family {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FamilyFit {
     /// Which.
-    pub family: Family,
+    pub family: DistributionFamily,
     /// Names of its parameters, as a space file has them.
-    pub names: [&'static str; 2],
+    #[serde(rename = "names")]
+    pub parameter_names: [&'static str; 2],
     /// Their estimates.
     pub estimates: [f64; 2],
     /// An interval at 95 % for each: Wald's, by the curvature of the likelihood; exact for a uniform distribution. None where the
@@ -48,7 +49,7 @@ pub struct FamilyFit {
 /// Why a family cannot be fitted.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum NoFit {
+pub enum FamilyFitError {
     /// It is one of positive values.
     #[error("is of values above 0, and one is {0}")]
     NotPositive(f64),
@@ -61,7 +62,7 @@ pub enum NoFit {
 }
 
 /// What of values a likelihood needs.
-struct Sums<'a> {
+struct SampleStatistics<'a> {
     values: &'a [f64],
     logarithms: Vec<f64>,
     mean: f64,
@@ -74,7 +75,7 @@ struct Sums<'a> {
 /// Two-sided 95 % of a normal distribution.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-impl Family {
+impl DistributionFamily {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::Uniform, Self::Normal, Self::LogNormal, Self::Gamma, Self::Weibull];
 
@@ -93,24 +94,24 @@ impl Family {
     /// Fits it to values that can only lie in a range; the distribution is cut there, and its likelihood that of what is left.
     ///
     /// # Errors
-    /// [`NoFit`] for values that the family cannot have.
-    pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, NoFit> {
+    /// [`FamilyFitError`] for values that the family cannot have.
+    pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, FamilyFitError> {
         let (smallest, largest) = ends(values);
         if smallest >= largest {
-            return Err(NoFit::Constant(smallest));
+            return Err(FamilyFitError::Constant(smallest));
         }
         if self == Self::Uniform {
             return Ok(uniform(values.len(), smallest, largest));
         }
         if self != Self::Normal && smallest <= 0.0 {
-            return Err(NoFit::NotPositive(smallest));
+            return Err(FamilyFitError::NotPositive(smallest));
         }
-        let sums = Sums::of(values, range);
+        let sums = SampleStatistics::of(values, range);
         let objective = |at: [f64; 2]| -self.ln_likelihood(&sums, at);
         let found = minimum(&objective, self.start(&sums));
         let ln_likelihood = -objective(found);
         if !ln_likelihood.is_finite() {
-            return Err(NoFit::NoMaximum);
+            return Err(FamilyFitError::NoMaximum);
         }
         Ok(FamilyFit {
             family: self,
@@ -124,7 +125,7 @@ impl Family {
         })
     }
 
-    fn names(self) -> [&'static str; 2] {
+    fn parameter_names(self) -> [&'static str; 2] {
         match self {
             Self::Uniform => ["low", "high"],
             Self::Normal => ["mean", "deviation"],
@@ -134,7 +135,7 @@ impl Family {
     }
 
     /// Where the search begins, in its own coordinates: what the moments say where nothing is cut.
-    fn start(self, sums: &Sums<'_>) -> [f64; 2] {
+    fn initial_point(self, sums: &SampleStatistics<'_>) -> [f64; 2] {
         match self {
             Self::Uniform | Self::Normal | Self::LogNormal => [0.0, 0.0],
             Self::Gamma => [(2.0 * (sums.mean / sums.deviation).ln()).clamp(-4.0, 13.0), 0.0],
@@ -144,7 +145,7 @@ impl Family {
     }
 
     /// From the search's coordinates to the parameters.
-    fn estimates(self, sums: &Sums<'_>, [a, b]: [f64; 2]) -> [f64; 2] {
+    fn estimates(self, sums: &SampleStatistics<'_>, [a, b]: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Uniform | Self::Normal => [sums.mean + sums.deviation * a, sums.deviation * b.exp()],
             Self::LogNormal => [sums.ln_mean + sums.ln_deviation * a, sums.ln_deviation * b.exp()],
@@ -158,13 +159,13 @@ impl Family {
             Self::Uniform => Distribution::Uniform(Uniform { low: first, high: second }),
             Self::Normal => Distribution::Normal(Normal { mean: first, deviation: second, low, high }),
             Self::LogNormal => Distribution::LogNormal(LogNormal { ln_mean: first, ln_deviation: second, low, high }),
-            Self::Gamma => Distribution::Gamma(ShapeScale { shape: first, scale: second, low, high }),
-            Self::Weibull => Distribution::Weibull(ShapeScale { shape: first, scale: second, low, high }),
+            Self::Gamma => Distribution::Gamma(ShapeScaleSpec { shape: first, scale: second, low, high }),
+            Self::Weibull => Distribution::Weibull(ShapeScaleSpec { shape: first, scale: second, low, high }),
         }
     }
 
     /// Of the cut distribution; −∞ for parameters that no space may have.
-    fn ln_likelihood(self, sums: &Sums<'_>, at: [f64; 2]) -> f64 {
+    fn ln_likelihood(self, sums: &SampleStatistics<'_>, at: [f64; 2]) -> f64 {
         let n = sums.values.len() as f64;
         let parameters @ [first, second] = self.estimates(sums, at);
         let Ok(ready) = self.distribution(parameters, sums.range).ready() else { return f64::NEG_INFINITY };
@@ -191,7 +192,7 @@ impl Family {
     }
 
     /// By the curvature of the likelihood, which is the inverse of the covariance (Wald, 1943).
-    fn intervals(self, sums: &Sums<'_>, objective: &dyn Fn([f64; 2]) -> f64, at: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+    fn intervals(self, sums: &SampleStatistics<'_>, objective: &dyn Fn([f64; 2]) -> f64, at: [f64; 2]) -> Option<[[f64; 2]; 2]> {
         let [[aa, ab], [_, bb]] = hessian(objective, at)?;
         let determinant = aa * bb - ab * ab;
         if !(aa > 0.0 && determinant > 0.0) {
@@ -218,24 +219,24 @@ impl Family {
 
 /// The ends that were seen are the most likely ones. How far beyond them those of the distribution lie, relative to their
 /// distance, does not depend on these: P(T > t) = (1 + t)^(1 − n).
-fn uniform(n: usize, low: f64, high: f64) -> FamilyFit {
+fn fit_uniform(n: usize, low: f64, high: f64) -> FamilyFit {
     let width = high - low;
     let beyond = width * (0.05_f64.powf(-1.0 / (n as f64 - 1.0)) - 1.0);
     let ln_likelihood = -(n as f64) * width.ln();
     FamilyFit {
-        family: Family::Uniform,
-        names: Family::Uniform.names(),
+        family: DistributionFamily::Uniform,
+        names: DistributionFamily::Uniform.names(),
         estimates: [low, high],
         intervals_95: Some([[low - beyond, low], [high, high + beyond]]),
         ln_likelihood,
         aic: 4.0 - 2.0 * ln_likelihood,
         bic: 2.0 * (n as f64).ln() - 2.0 * ln_likelihood,
-        distribution: Family::Uniform.distribution([low, high], [low, high]),
+        distribution: DistributionFamily::Uniform.distribution([low, high], [low, high]),
     }
 }
 
-impl<'a> Sums<'a> {
-    fn of(values: &'a [f64], range: [f64; 2]) -> Self {
+impl<'a> SampleStatistics<'a> {
+    fn new(values: &'a [f64], range: [f64; 2]) -> Self {
         let logarithms: Vec<f64> = values.iter().map(|value| value.ln()).collect();
         let (mean, deviation) = moments(values);
         let (ln_mean, ln_deviation) = moments(&logarithms);
@@ -251,6 +252,6 @@ fn moments(values: &[f64]) -> (f64, f64) {
 }
 
 /// Smallest and largest.
-fn ends(values: &[f64]) -> (f64, f64) {
+fn min_max(values: &[f64]) -> (f64, f64) {
     values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| (low.min(value), high.max(value)))
 }

@@ -6,12 +6,12 @@ use serde::Serialize;
 
 use super::family::FamilyFit;
 use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::space::ReadyDistribution;
+use crumple_world::scenario::space::ParameterDistribution;
 
 /// Distances between values and a distribution, each with the share of samples of the fitted distribution, fitted again, that are as far from
 /// their own fit or further (a parametric bootstrap: Stute, González Manteiga and Presedo Quindimil, Metrika 40, 1993).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Goodness {
+pub struct GoodnessOfFit {
     /// The largest distance between both distribution functions: Kolmogorov's and Smirnov's.
     pub kolmogorov_smirnov: f64,
     /// Its p-value.
@@ -43,7 +43,7 @@ pub struct Tails {
 
 impl Tails {
     /// Of values that are sorted.
-    pub(super) fn of(sorted: &[f64], fitted: &ReadyDistribution) -> Self {
+    pub(super) fn new(sorted: &[f64], fitted: &ParameterDistribution) -> Self {
         let (smallest, largest) =
             (sorted.first().copied().unwrap_or(f64::NAN), sorted.last().copied().unwrap_or(f64::NAN));
         let (low, high) = (fitted.quantile(0.1), fitted.quantile(0.9));
@@ -60,13 +60,13 @@ impl Tails {
 
 /// A p-value, with two digits that count where it is small: one of 1 in 200 is 0.0050, and would not be honest as 0.01.
 #[must_use]
-pub fn shown_p(p: f64) -> String {
+pub fn format_p_value(p: f64) -> String {
     let decimals = if p > 0.0 && p < 0.1 { (1.0 - p.log10()).ceil().min(12.0) as usize } else { 2 };
     format!("{p:.decimals$}")
 }
 
 /// Both distances of sorted values.
-fn distances(sorted: &[f64], fitted: &ReadyDistribution) -> [f64; 2] {
+fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
     let n = sorted.len() as f64;
     let (mut largest, mut squares) = (0.0_f64, 1.0 / (12.0 * n));
     for (index, &value) in sorted.iter().enumerate() {
@@ -77,13 +77,13 @@ fn distances(sorted: &[f64], fitted: &ReadyDistribution) -> [f64; 2] {
     [largest, squares]
 }
 
-impl Goodness {
+impl GoodnessOfFit {
     /// Of sorted values that can only lie in a range; `place` tells the streams of several fits apart.
-    pub(super) fn of(
+    pub(super) fn bootstrap(
         sorted: &[f64],
         range: [f64; 2],
         fit: &FamilyFit,
-        fitted: &ReadyDistribution,
+        fitted: &ParameterDistribution,
         (samples, seed, place): (u32, u64, u64),
     ) -> Self {
         let seen = distances(sorted, fitted);

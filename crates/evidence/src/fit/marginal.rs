@@ -1,7 +1,7 @@
 //! How each number is distributed.
 
 use super::FitError;
-use super::family::{Family, FamilyFit, NoFit};
+use super::family::{Family, FamilyFit, FamilyFitError};
 use crate::RateInterval;
 use crumple_world::scenario::space::{Choice, Distribution, ObservedParameter, PointMass, Value};
 use serde::Serialize;
@@ -12,7 +12,8 @@ pub struct PointFit {
     /// The value.
     pub at: f64,
     /// In how many episodes it was seen.
-    pub seen: u64,
+    #[serde(rename = "seen")]
+    pub count: u64,
     /// In which share of them.
     pub probability: f64,
     /// An interval at 95 % for its probability: Clopper's and Pearson's.
@@ -20,7 +21,7 @@ pub struct PointFit {
 }
 
 impl PointFit {
-    fn of(at: f64, values: &[f64]) -> Self {
+    fn new(at: f64, values: &[f64]) -> Self {
         let (seen, of) = (values.iter().filter(|value| **value == at).count() as u64, values.len() as u64);
         let RateInterval { lower, upper } = RateInterval::exact(seen, of, 0.95);
         Self { at, seen, probability: seen as f64 / of.max(1) as f64, interval_95: [lower, upper] }
@@ -28,20 +29,20 @@ impl PointFit {
 }
 
 /// How a number is distributed.
-pub(super) enum Marginal {
+pub(super) enum FittedMarginal {
     /// With a density.
-    Dense(Box<Dense>),
+    Continuous(Box<ContinuousMarginal>),
     /// One of a few values.
-    Few(Vec<PointFit>),
+    Discrete(Vec<PointFit>),
 }
 
 /// A density, and one value with a probability of its own if it was seen.
-pub(super) struct Dense {
-    pub(super) families: Families,
+pub(super) struct ContinuousMarginal {
+    pub(super) families: FamilyRanking,
     pub(super) point: Option<PointFit>,
 }
 
-impl Dense {
+impl ContinuousMarginal {
     pub(super) fn distribution(&self) -> Distribution {
         let others = self.families.chosen.distribution.clone();
         match self.point {
@@ -53,9 +54,9 @@ impl Dense {
     }
 }
 
-impl Marginal {
+impl FittedMarginal {
     /// Fits a number. What is one of a few values stays so: `stated` is how the space distributes it.
-    pub(super) fn of(parameter: &ObservedParameter, stated: &Distribution) -> Result<Self, FitError> {
+    pub(super) fn fit(parameter: &ObservedParameter, stated: &Distribution) -> Result<Self, FitError> {
         let values = &parameter.values;
         if let Distribution::Choice(choice) = stated {
             let number = |value: &Value| if let Value::Number(number) = value { Some(*number) } else { None };
@@ -66,8 +67,8 @@ impl Marginal {
             Some(point) => &values.iter().copied().filter(|value| *value != point.at).collect::<Vec<f64>>(),
             None => values,
         };
-        let families = Families::of(&parameter.name, others, [parameter.low, parameter.high])?;
-        Ok(Self::Dense(Box::new(Dense { families, point })))
+        let families = FamilyRanking::of(&parameter.name, others, [parameter.low, parameter.high])?;
+        Ok(Self::Dense(Box::new(ContinuousMarginal { families, point })))
     }
 
     pub(super) fn distribution(&self) -> Distribution {
@@ -82,18 +83,18 @@ impl Marginal {
 }
 
 /// What every family says of the values of a parameter.
-pub(super) struct Families {
+pub(super) struct FamilyRanking {
     /// The likeliest.
     pub(super) chosen: FamilyFit,
     /// The others, the likeliest first.
     pub(super) others: Vec<FamilyFit>,
     /// Those that do not describe the values.
-    pub(super) impossible: Vec<(Family, NoFit)>,
+    pub(super) impossible: Vec<(Family, FamilyFitError)>,
 }
 
-impl Families {
+impl FamilyRanking {
     /// Of values that can only lie in a range, by the name of their parameter.
-    pub(super) fn of(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
+    pub(super) fn fit(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
         let (mut fits, mut impossible) = (Vec::new(), Vec::new());
         for family in Family::ALL {
             match family.fit(values, range) {
@@ -103,7 +104,7 @@ impl Families {
         }
         fits.sort_by(|a: &FamilyFit, b| b.ln_likelihood.total_cmp(&a.ln_likelihood));
         let mut fits = fits.into_iter();
-        let why = impossible.first().map_or(NoFit::NoMaximum, |(_, why)| *why);
+        let why = impossible.first().map_or(FamilyFitError::NoMaximum, |(_, why)| *why);
         let chosen = fits.next().ok_or_else(|| FitError::NoFamily { name: name.to_owned(), why })?;
         Ok(Self { chosen, others: fits.collect(), impossible })
     }

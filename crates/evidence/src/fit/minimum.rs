@@ -1,18 +1,18 @@
 //! The minimum of a smooth function of two numbers, and its curvature there.
 
 /// Steps of the simplex at most.
-const MOST_STEPS: usize = 400;
+const MAX_STEPS: usize = 400;
 /// The simplex is small enough when its corners are this close to each other.
-const CLOSE: f64 = 1e-7;
+const TOLERANCE: f64 = 1e-7;
 
 /// The simplex of Nelder and Mead (A simplex method for function minimization, 1965), begun anew once where it ends. Values that are not
 /// finite are as bad as can be.
-pub(super) fn minimum(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2] {
+pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2] {
     let once = descended(of, start, 0.5);
     descended(of, once, 0.1)
 }
 
-fn descended(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
+fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
     let judged = |at: [f64; 2]| {
         let value = of(at);
         (at, if value.is_finite() { value } else { f64::INFINITY })

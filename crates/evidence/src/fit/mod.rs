@@ -1,6 +1,6 @@
 //! From recorded episodes to a search space that draws such episodes.
 //!
-//! [`Sample`] holds the numbers of each episode; [`Fitted`] is the space, with what was chosen and how well it fits. Each number has a
+//! [`Sample`] holds the numbers of each episode; [`FittedSpace`] is the space, with what was chosen and how well it fits. Each number has a
 //! family of [`Family::ALL`], the one of the greatest likelihood: all have two parameters, so that Akaike's criterion and
 //! Schwarz's agree. A value that is seen again and again, such as standstill, has a probability of its own beside; the size of vehicles is light
 //! or heavy. What depends on what is a Gaussian copula. `refitted` does the same with other values, such as a resample.
@@ -23,7 +23,7 @@ mod dependence;
 mod episodes;
 mod error;
 mod family;
-mod fitted;
+mod fitted_space;
 mod goodness;
 mod marginal;
 mod minimum;
@@ -33,12 +33,12 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{LeftOut, MOST_VEHICLES, Number, Sample, Taken};
+pub use episodes::{ExclusionCounts, MOST_VEHICLES, Number, Sample, Taken};
 pub use error::FitError;
-pub use family::{Family, FamilyFit, NoFit};
-pub use fitted::{Fitted, FittedNumber, FittedSize, fit};
-pub use goodness::{Goodness, Tails, shown_p};
+pub use family::{Family, FamilyFit, FamilyFitError};
+pub use fitted_space::{FittedSpace, FittedNumber, FittedSize, fit};
+pub use goodness::{GoodnessOfFit, Tails, shown_p};
 pub use marginal::PointFit;
 pub(crate) use resample::resampled;
-pub use sizes::Sizes;
+pub use sizes::VehicleSizes;
 pub(crate) use space::{edited, refitted};

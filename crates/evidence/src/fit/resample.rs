@@ -8,7 +8,7 @@ use crumple_world::scenario::space::{Observed, ObservedParameter};
 /// The `index`-th resample: as many waves as there are, each drawn from all of them (Efron, Bootstrap methods: another look at the
 /// jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
 #[must_use]
-pub(crate) fn resampled(observed: &Observed, seed: u64, index: u64) -> Observed {
+pub(crate) fn resample(observed: &Observed, seed: u64, index: u64) -> Observed {
     let waves = observed.waves.iter().max().map_or(0, |last| *last as usize + 1);
     let mut members: Vec<Vec<usize>> = vec![Vec::new(); waves];
     for (episode, wave) in observed.waves.iter().enumerate() {

@@ -10,7 +10,7 @@ use crumple_world::scenario::VehicleClass;
 /// A scenario's vehicle is a light or a heavy one, of the median length of these. Lengths beside their class decide nothing: gaps are between
 /// bumpers.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sizes {
+pub struct VehicleSizes {
     /// How many are shorter than 7.5 m, ...
     pub light: usize,
     /// ... and their median length, in metres.
@@ -23,11 +23,11 @@ pub struct Sizes {
     pub unknown: usize,
 }
 
-impl Sizes {
-    pub(super) fn of(lengths_m: &[Option<f64>]) -> Self {
+impl VehicleSizes {
+    pub(super) fn new(lengths_m: &[Option<f64>]) -> Self {
         let of_class = |class: VehicleClass| -> Vec<f64> {
             let known = lengths_m.iter().flatten().copied();
-            known.filter(|length_m| VehicleClass::of_length(*length_m) == class).collect()
+            known.filter(|length_m| VehicleClass::from_length(*length_m) == class).collect()
         };
         let (light, heavy) = (of_class(VehicleClass::Light), of_class(VehicleClass::Heavy));
         let usual_m = |known: &[f64]| if known.is_empty() { CAR_LENGTH_M } else { median(known) };
@@ -41,12 +41,12 @@ impl Sizes {
     }
 
     /// The length of most of them, in metres.
-    pub(super) fn usual_m(&self) -> f64 {
+    pub(super) fn typical_m(&self) -> f64 {
         if self.heavy > self.light + self.unknown { self.heavy_m } else { self.light_m }
     }
 
     /// The number that a scenario has of it, where there are both light and heavy ones, of vehicle `index` from the front.
-    pub(super) fn number(&self, index: usize) -> Option<Number> {
+    pub(super) fn feature(&self, index: usize) -> Option<Number> {
         let is_mixed = self.heavy > 0 && self.light + self.unknown > 0;
         let name = if index == 0 { "lead_size_m".to_owned() } else { format!("size_{index}_m") };
         is_mixed.then(|| Number {
@@ -56,15 +56,15 @@ impl Sizes {
     }
 
     /// What a scenario has of each.
-    pub(super) fn of_each(&self, lengths_m: &[Option<f64>]) -> Vec<f64> {
-        let is_heavy = |length_m: f64| VehicleClass::of_length(length_m) == VehicleClass::Heavy;
+    pub(super) fn scenario_lengths_m(&self, lengths_m: &[Option<f64>]) -> Vec<f64> {
+        let is_heavy = |length_m: f64| VehicleClass::from_length(length_m) == VehicleClass::Heavy;
         let size_m = |length_m: &Option<f64>| if length_m.is_some_and(is_heavy) { self.heavy_m } else { self.light_m };
         lengths_m.iter().map(size_m).collect()
     }
 
     /// Who they are, in a sentence, of vehicle `index` from the front.
     #[must_use]
-    pub fn in_words(&self, index: usize) -> String {
+    pub fn sentence(&self, index: usize) -> String {
         let who = if index == 0 { "Leaders".to_owned() } else { format!("Followers {index}") };
         let Self { light, light_m, heavy, heavy_m, unknown } = self;
         let kinds = [

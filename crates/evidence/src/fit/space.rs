@@ -13,20 +13,20 @@ use crumple_world::scenario::space::{
 
 /// How far a distribution may be from the one that is fitted again, relative to what was observed, and a correlation: another machine
 /// rounds otherwise.
-const SAME: f64 = 1e-4;
+const TOLERANCE: f64 = 1e-4;
 /// Shares at which distributions are compared.
-const COMPARED: u32 = 200;
+const COMPARED_QUANTILES: u32 = 200;
 
 /// A space fitted to other values of its parameters: their families, estimates and dependence are found anew, all else stays.
 ///
 /// # Errors
 /// [`FitError`] for values that no family describes, or that are no space.
-pub(crate) fn refitted(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
+pub(crate) fn refit(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
     space_of(spec, observed, &marginals(spec, observed)?)
 }
 
 /// How each observed parameter is distributed.
-pub(super) fn marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Marginal>, FitError> {
+pub(super) fn fit_marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Marginal>, FitError> {
     let fitted = |parameter: &ObservedParameter| match stated(spec, &parameter.name) {
         Some(distribution) => Marginal::of(parameter, distribution),
         None => Err(InvalidSpace::new("observed.parameters", format!("there is no `{}`", parameter.name)).into()),
@@ -34,12 +34,12 @@ pub(super) fn marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Mar
     observed.parameters.par_iter().map(fitted).collect()
 }
 
-fn stated<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distribution> {
+fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distribution> {
     spec.parameters.iter().find(|parameter| parameter.name == name).map(|parameter| &parameter.distribution)
 }
 
 /// A space with the distributions that were fitted to values of its parameters, and with their dependence.
-pub(super) fn space_of(spec: &SpaceSpec, observed: &Observed, marginals: &[Marginal]) -> Result<Space, FitError> {
+pub(super) fn build_space(spec: &SpaceSpec, observed: &Observed, marginals: &[Marginal]) -> Result<Space, FitError> {
     let mut spec = spec.clone();
     let distributions: Vec<Distribution> = marginals.iter().map(Marginal::distribution).collect();
     for (distribution, values) in distributions.iter().zip(&observed.parameters) {
@@ -63,7 +63,7 @@ pub(super) fn space_of(spec: &SpaceSpec, observed: &Observed, marginals: &[Margi
 }
 
 /// A copula with the correlations that were fitted, and those that were stated between parameters of which not both were observed.
-fn joined(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<GaussianCopula> {
+fn merge_copulas(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<GaussianCopula> {
     let Some(Dependence::GaussianCopula(stated)) = stated else {
         return (fitted.parameters.len() > 1).then_some(fitted);
     };
@@ -72,18 +72,18 @@ fn joined(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<Gaussian
     }
     let mut parameters = stated.parameters.clone();
     parameters.extend(fitted.parameters.iter().filter(|name| !stated.parameters.contains(name)).cloned());
-    let entry = |a: &String, b: &String| match entry_of(&fitted, a, b).or_else(|| entry_of(&stated, a, b)) {
+    let entry = |a: &String, b: &String| match copula_entry(&fitted, a, b).or_else(|| copula_entry(&stated, a, b)) {
         _ if a == b => 1.0,
         found => found.unwrap_or(0.0),
     };
     let rows = parameters.iter().map(|a| parameters.iter().map(|b| entry(a, b)).collect()).collect();
     let all_fitted = parameters.iter().all(|name| fitted.parameters.contains(name));
     // What was stated need not fit together with what was fitted.
-    let correlation = if all_fitted { rows } else { dependence::fitting_together(rows) };
+    let correlation = if all_fitted { rows } else { dependence::shrink_to_positive_definite(rows) };
     Some(GaussianCopula { parameters, correlation })
 }
 
-fn entry_of(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
+fn copula_entry(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
     let place = |name: &str| copula.parameters.iter().position(|known| known == name);
     copula.correlation.get(place(a)?)?.get(place(b)?).copied()
 }
@@ -93,7 +93,7 @@ fn entry_of(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
 ///
 /// # Errors
 /// [`FitError`] where nothing can be fitted to the values.
-pub(crate) fn edited(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
+pub(crate) fn find_edit(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
     let again = refitted(space.spec(), observed)?;
     for parameter in &observed.parameters {
         let [stated, fitted] = [space.spec(), again.spec()].map(|spec| stated(spec, &parameter.name));
@@ -104,8 +104,8 @@ pub(crate) fn edited(space: &Space, observed: &Observed) -> Result<Option<String
             .iter()
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)]);
         let close = SAME * (ends[1] - ends[0]).abs();
-        let share = |index: u32| f64::from(index) / f64::from(COMPARED);
-        if (0..=COMPARED).any(|at| (stated.quantile(share(at)) - fitted.quantile(share(at))).abs() > close) {
+        let share = |index: u32| f64::from(index) / f64::from(COMPARED_QUANTILES);
+        if (0..=COMPARED_QUANTILES).any(|at| (stated.quantile(share(at)) - fitted.quantile(share(at))).abs() > close) {
             return Ok(Some(parameter.name.clone()));
         }
     }
@@ -115,7 +115,7 @@ pub(crate) fn edited(space: &Space, observed: &Observed) -> Result<Option<String
     };
     let (stated, fitted) = (copula(space), copula(&again));
     let differs = |a: &ObservedParameter, b: &ObservedParameter| {
-        let of = |copula: &GaussianCopula| entry_of(copula, &a.name, &b.name).unwrap_or(0.0);
+        let of = |copula: &GaussianCopula| copula_entry(copula, &a.name, &b.name).unwrap_or(0.0);
         a.name != b.name && (of(&stated) - of(&fitted)).abs() > SAME
     };
     let parameters = &observed.parameters;

@@ -5,18 +5,18 @@ use rand::RngExt;
 
 use super::dependence::{self, Column};
 use super::episodes::numbers;
-use super::marginal::Families;
+use super::marginal::FamilyRanking;
 use super::*;
 use crumple_world::random::{Purpose, stream};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{Leaders, MinBrake, Recording, read};
 use crumple_world::scenario::space::{
-    Dependence, Distribution, LogNormal, Normal, Observed, ObservedParameter, ShapeScale, Space, Uniform, file,
+    Dependence, Distribution, LogNormal, Normal, Observed, ObservedParameter, ShapeScaleSpec, Space, Uniform, file,
 };
 use crumple_world::scenario::{Driver, LeadProfile, VehicleClass};
 
 /// A distribution with its parameters, cut where a scenario could be.
-fn known() -> Vec<(Distribution, Family, [f64; 2], [f64; 2])> {
+fn known_distributions() -> Vec<(Distribution, Family, [f64; 2], [f64; 2])> {
     let range = [0.2, 12.0];
     let [low, high] = range;
     vec![
@@ -28,12 +28,12 @@ fn known() -> Vec<(Distribution, Family, [f64; 2], [f64; 2])> {
             [0.3, 0.5],
             range,
         ),
-        (Distribution::Gamma(ShapeScale { shape: 4.0, scale: 0.5, low, high }), Family::Gamma, [4.0, 0.5], range),
-        (Distribution::Weibull(ShapeScale { shape: 2.0, scale: 2.2, low, high }), Family::Weibull, [2.0, 2.2], range),
+        (Distribution::Gamma(ShapeScaleSpec { shape: 4.0, scale: 0.5, low, high }), Family::Gamma, [4.0, 0.5], range),
+        (Distribution::Weibull(ShapeScaleSpec { shape: 2.0, scale: 2.2, low, high }), Family::Weibull, [2.0, 2.2], range),
     ]
 }
 
-fn drawn(distribution: &Distribution, count: usize, seed: u64) -> Vec<f64> {
+fn draw_values(distribution: &Distribution, count: usize, seed: u64) -> Vec<f64> {
     let (ready, mut random) = (distribution.ready().unwrap(), stream(seed, Purpose::Resampling, 0));
     (0..count).map(|_| ready.quantile(random.random())).collect()
 }
@@ -60,7 +60,7 @@ fn intervals_hold_the_parameters_of_known_distributions() {
 fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
     for (distribution, family, _, range) in known() {
         let chosen = |trial: u64| {
-            Families::of(family.name(), &drawn(&distribution, 1000, 1000 + trial), range).unwrap().chosen.family
+            FamilyRanking::of(family.name(), &drawn(&distribution, 1000, 1000 + trial), range).unwrap().chosen.family
         };
         let right = (0..40).filter(|&trial| chosen(trial) == family).count();
         println!("{}: chosen in {right} of 40", family.name());
@@ -75,7 +75,7 @@ fn the_p_value_is_even_where_the_family_is_right() {
     let judged = |values: &mut Vec<f64>, family: Family, trial: u64| {
         values.sort_by(f64::total_cmp);
         let fit = family.fit(values, range).unwrap();
-        Goodness::of(values, range, &fit, &fit.distribution.ready().unwrap(), (99, trial, 0))
+        GoodnessOfFit::of(values, range, &fit, &fit.distribution.ready().unwrap(), (99, trial, 0))
     };
     let mut low = 0;
     for trial in 0..60 {
@@ -89,7 +89,7 @@ fn the_p_value_is_even_where_the_family_is_right() {
 }
 
 /// A space with dependent parameters: three of a scenario with brake-to-speed.
-fn dependent() -> Space {
+fn dependent_space() -> Space {
     let text = r#"
 version = 1
 name = "known"
@@ -139,7 +139,7 @@ fn the_correlation_of_2000_draws_is_recovered() {
 }
 
 /// Draws of a space, as somebody sees them.
-fn seen_in(space: &Space, count: u32, seed: u64) -> Observed {
+fn observe_draws(space: &Space, count: u32, seed: u64) -> Observed {
     let draws: Vec<Vec<f64>> = (0..count.into()).map(|index| space.values(&space.draw_point(seed, index))).collect();
     let seen = |(which, parameter): (usize, &crumple_world::scenario::space::Parameter)| ObservedParameter {
         name: parameter.name().to_owned(),
@@ -188,7 +188,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let truth = [[1.0, 0.6, -0.5], [0.6, 1.0, 0.3], [-0.5, 0.3, 1.0]];
     let (mut errors, mut most) = ([0.0; 3], 0.0_f64);
     for seed in 0..8 {
-        let observed = seen_in(&space, 2000, seed);
+        let observed = observe_draws(&space, 2000, seed);
         let again = refitted(space.spec(), &observed).unwrap();
         let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else { panic!("dependent") };
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
@@ -227,7 +227,7 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
 #[test]
 fn what_was_changed_since_is_told_and_what_was_not_observed_stays() {
     let space = dependent();
-    let observed = seen_in(&space, 300, 4);
+    let observed = observe_draws(&space, 300, 4);
     let fitted = refitted(space.spec(), &observed).unwrap();
     assert_eq!(edited(&fitted, &observed), Ok(None));
     assert_eq!(edited(&space, &observed), Ok(Some("friction".to_owned())));
@@ -314,7 +314,7 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let taken = Taken { vehicles: 2, min_brake: MinBrake::default(), leaders: Leaders::Any };
     let sample = Sample::of(&[pairs_in_lanes(2.0)], taken).unwrap();
-    let left_out = LeftOut { nobody_behind: 1, impossible: 1, ..LeftOut::default() };
+    let left_out = ExclusionCounts { nobody_behind: 1, impossible: 1, ..ExclusionCounts::default() };
     assert_eq!((sample.left_out, sample.exposure.episodes, sample.exposure.left_out), (left_out, 38, 1));
     assert_eq!(sample.exposure.sources[0].left_out, 1);
     // 39 leaders with somebody behind, for 19.9 s, in the last of which no braking can begin.
@@ -322,7 +322,7 @@ fn what_recordings_hold_is_in_the_space_or_said_to_be_left_out() {
     let [leaders, followers] = &sample.sizes[..] else { panic!("{:?}", sample.sizes) };
     assert_eq!((leaders.light, leaders.light_m, leaders.heavy), (38, 4.6, 0));
     assert_eq!((followers.light, followers.heavy, followers.heavy_m), (28, 10, 12.5));
-    let Fitted { space, numbers, sizes, depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
+    let FittedSpace { space, numbers, sizes, depending, .. } = fit(&sample, "mine", 19, 0).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
     assert_eq!((point.at, point.seen, numbers[2].chosen.distribution.ready().unwrap().share_below(0.0)), (0.0, 8, 0.0));
     assert_eq!((sizes[0].values[1].at, sizes[0].values[1].seen), (12.5, 10));
@@ -382,7 +382,7 @@ fn p_values_keep_the_digits_that_count() {
 #[test]
 fn a_fit_to_draws_of_a_space_gives_the_space_back() {
     let space = dependent();
-    let observed = seen_in(&space, 2000, 9);
+    let observed = observe_draws(&space, 2000, 9);
     let again = refitted(space.spec(), &observed).unwrap();
     for u in [0.02, 0.2, 0.5, 0.8, 0.98] {
         for (before, after) in space.spec().parameters.iter().zip(&again.spec().parameters) {

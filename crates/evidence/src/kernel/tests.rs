@@ -76,11 +76,11 @@ fn each_shipped_pair_is_proved() {
     }
 }
 
-fn exact(value: f64) -> Quotient {
+fn rational(value: f64) -> Quotient {
     Real::of(value)
 }
 
-fn quotient(text: &str) -> Quotient {
+fn parse_rational(text: &str) -> Quotient {
     let (over, under) = text.split_once('/').unwrap_or((text, "1"));
     Quotient::new(over.parse().unwrap(), under.parse().unwrap()).unwrap()
 }

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::driving::RareRecord;
+use super::plan::RareRecord;
 use super::progress::Progress;
 use super::{Pilot, RareError, RarePlan, RareReport};
 use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
 use crumple_store::work::{Asked, Work, WorkError};
 
-const ESTIMATE: &str = "rare-estimate.json";
+const ESTIMATE_FILE: &str = "rare-estimate.json";
 
 /// A folder for one estimate, in use.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ impl RarePlan {
     ///
     /// # Errors
     /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
-    pub fn in_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
+    pub fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         if resume && self.controller.kind.identity().is_none() {
             return Err(RareError::Unknown(self.controller.name.clone()));
         }
@@ -34,7 +34,7 @@ impl RarePlan {
 
 impl RareRecord {
     /// The folder of the whole estimate.
-    pub(super) fn in_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
+    pub(super) fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         let configuration = json!({
             "controller": self.controller,
             "controller_sha256": self.controller_sha256,
@@ -59,11 +59,11 @@ impl RareRecord {
 
 impl RareReport {
     /// What is kept of it.
-    pub(super) fn kept(&self) -> Self {
+    pub(super) fn without_exposure(&self) -> Self {
         Self { exposed: None, ..self.clone() }
     }
 
-    fn text(&self) -> Result<String, serde_json::Error> {
+    fn to_json(&self) -> Result<String, serde_json::Error> {
         Ok(serde_json::to_string_pretty(&self.kept())? + "\n")
     }
 }
@@ -73,7 +73,7 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError::Work`] if it is damaged.
-    pub fn kept(&self) -> Result<Option<RareReport>, RareError> {
+    pub fn read_report(&self) -> Result<Option<RareReport>, RareError> {
         let damaged = |error: serde_json::Error| WorkError::damaged(&self.path(), format!("no estimate: {error}"));
         let bytes = self.progress.work().read(ESTIMATE)?;
         let kept: Option<RareReport> =
@@ -85,7 +85,7 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError::Work`] if it cannot be written.
-    pub fn keep(&self, report: &RareReport) -> Result<(), RareError> {
+    pub fn write_report(&self, report: &RareReport) -> Result<(), RareError> {
         self.progress.finish(ESTIMATE, report.text()?)
     }
 
@@ -99,7 +99,7 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
-    pub fn pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
+    pub fn run_pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
         self.progress.pilot(plan, &Counter::new(observer, None))
     }
 
@@ -108,7 +108,7 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimate.
-    pub fn report(
+    pub fn estimate(
         &mut self,
         plan: &RarePlan,
         pilot: &Pilot,
@@ -127,7 +127,7 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the estimates in resamples.
-    pub fn exposed(
+    pub fn with_exposure(
         &mut self,
         plan: &RarePlan,
         report: RareReport,
@@ -137,7 +137,7 @@ impl RareFolder {
         self.per_hour(plan, report, resamples, &Counter::new(observer, None))
     }
 
-    fn per_hour(
+    fn add_exposure(
         &mut self,
         plan: &RarePlan,
         report: RareReport,
@@ -152,8 +152,8 @@ impl RareFolder {
 
     /// Repetitions that were made already.
     #[must_use]
-    pub fn kept_repetitions(&self) -> u64 {
-        self.progress.kept_repetitions()
+    pub fn completed_repetitions(&self) -> u64 {
+        self.progress.completed_repetitions()
     }
 
     /// Where the estimate goes.

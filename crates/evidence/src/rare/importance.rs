@@ -11,39 +11,43 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::mixture::{Around, Mixture, Seen};
-use super::splitting::{Climber, Sample, new_noise};
+use super::mixture::{OriginMoments, Mixture, Seen};
+use super::splitting::{ParticlePopulation, Sample, new_noise};
 use super::splitting::{Problem, State};
 use super::{Effort, Estimate, Level, Splitting};
 use crumple_core::observer::Counter;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
-const POPULATIONS: u64 = 3;
+const FIT_POPULATIONS: u64 = 3;
 /// Rounds of draws by which it is made better.
-const ROUNDS: u64 = 3;
+const REFIT_ROUNDS: u64 = 3;
 /// Populations' worth of draws in a round.
-const DRAWS: usize = 4;
+const POPULATIONS_PER_ROUND: usize = 4;
 /// Streams of what is thrown away; those of repetitions are counted from 1.
-const APART: u64 = 1 << 40;
+const FITTING_STREAM_OFFSET: u64 = 1 << 40;
 
 /// The mixture that draws are made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Importance {
-    pub(super) climbed: Splitting,
+pub struct ImportanceProposal {
+    #[serde(rename = "climbed")]
+    pub(super) splitting: Splitting,
     mixture: Option<Mixture>,
     /// Runs made to fit it, beside those of the climb's pilot.
-    fitting: u64,
+    #[serde(rename = "fitting")]
+    fitting_runs: u64,
 }
 
 /// A mixture that is being fitted: all that is left to do follows from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Fitting {
-    climbed: Splitting,
+pub(super) struct MixtureFitting {
+    #[serde(rename = "climbed")]
+    splitting: Splitting,
     /// The populations that have climbed, until something is fitted to them.
-    arrived: Vec<Arrived>,
+    #[serde(rename = "arrived")]
+    populations: Vec<PopulationTrace>,
     mixture: Option<Mixture>,
     /// Rounds by which that is better already.
     rounds: u64,
@@ -54,29 +58,30 @@ pub(super) struct Fitting {
 /// Where a population went.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Arrived {
+struct PopulationTrace {
     /// How far out each level is that it reached.
-    levels: Vec<Around>,
+    levels: Vec<OriginMoments>,
     failures: Vec<Vec<f64>>,
 }
 
 /// What came of one repetition.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Weighed {
+pub struct WeightedRepetition {
     /// Mean weight of the runs, those that hold counting as 0.
     probability: f64,
     /// The largest weight of a run that failed, of the sum of all in this repetition.
-    largest: f64,
+    #[serde(rename = "largest")]
+    largest_weight_share: f64,
     evaluations: u64,
 }
 
-impl Importance {
+impl ImportanceProposal {
     /// Climbs the levels and fits, or goes on with that. `keep` hears of all that is worth keeping.
-    pub(super) fn pilot<P: Problem>(
+    pub(super) fn fit<P: Problem>(
         problem: &P,
-        mut begun: Fitting,
-        keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
+        mut begun: MixtureFitting,
+        keep: &mut dyn FnMut(&MixtureFitting) -> Result<(), P::Error>,
         counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let (effort, seed) = (begun.climbed.effort(), begun.climbed.seed());
@@ -84,23 +89,23 @@ impl Importance {
         if !begun.climbed.reaches_failure() {
             return Ok(Self { climbed: begun.climbed, mixture: None, fitting: 0 });
         }
-        while begun.mixture.is_none() && (begun.arrived.len() as u64) < POPULATIONS {
-            let random = stream(seed, Purpose::RareEvents, APART + begun.arrived.len() as u64);
-            let mut climber = Climber::new(problem, effort.samples, random, counter);
+        while begun.mixture.is_none() && (begun.arrived.len() as u64) < FIT_POPULATIONS {
+            let random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + begun.arrived.len() as u64);
+            let mut climber = ParticlePopulation::new(problem, effort.samples, random, counter);
             let there = climber.populations(&stages)?;
-            begun.arrived.push(Arrived::of(&there, stages.len()));
+            begun.arrived.push(PopulationTrace::of(&there, stages.len()));
             begun.runs += climber.evaluations;
             keep(&begun)?;
         }
         if begun.mixture.is_none() {
-            let mut random = stream(seed, Purpose::RareEvents, APART + POPULATIONS);
-            begun.mixture = Arrived::fit(&begun.arrived, &mut random);
+            let mut random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + FIT_POPULATIONS);
+            begun.mixture = PopulationTrace::fit(&begun.arrived, &mut random);
             begun.arrived.clear();
         }
         for round in begun.rounds..ROUNDS {
             let Some(known) = &begun.mixture else { break };
-            let random = stream(seed, Purpose::RareEvents, APART + POPULATIONS + 1 + round);
-            let mut climber = Climber::new(problem, DRAWS * effort.samples, random, counter);
+            let random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + FIT_POPULATIONS + 1 + round);
+            let mut climber = ParticlePopulation::new(problem, DRAWS * effort.samples, random, counter);
             let failed = weighed(&mut climber, known)?;
             begun.runs += climber.evaluations;
             begun.mixture = known.refitted(&failed).or(begun.mixture);
@@ -111,7 +116,7 @@ impl Importance {
     }
 
     /// Whether it is of a problem of so many numbers.
-    pub(super) fn is_in(&self, dimension: usize) -> bool {
+    pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         self.mixture.iter().all(|mixture| mixture.is_of(dimension))
     }
 
@@ -121,43 +126,43 @@ impl Importance {
     }
 
     /// How many runs the repetitions will make.
-    pub(super) fn runs_ahead(&self) -> u64 {
+    pub(super) fn planned_runs(&self) -> u64 {
         let effort = self.climbed.effort();
         if self.reaches_failure() { (effort.repetitions * effort.samples) as u64 } else { 0 }
     }
 
     /// Some of the repetitions: each is a function of the seed and its number alone.
-    pub(super) fn repeat<P: Problem>(
+    pub(super) fn run_repetitions<P: Problem>(
         &self,
         problem: &P,
         repetitions: Range<u64>,
         counter: &Counter<'_>,
-    ) -> Result<Vec<Weighed>, P::Error> {
+    ) -> Result<Vec<WeightedRepetition>, P::Error> {
         let Some(mixture) = &self.mixture else { return Ok(Vec::new()) };
         let (effort, seed) = (self.climbed.effort(), self.climbed.seed());
         let repeat = |index: u64| {
             let random = stream(seed, Purpose::RareEvents, 1 + index);
-            let mut climber = Climber::new(problem, effort.samples, random, counter);
+            let mut climber = ParticlePopulation::new(problem, effort.samples, random, counter);
             let failed = weighed(&mut climber, mixture)?;
             let (sum, largest) =
                 failed.iter().fold((0.0, 0.0_f64), |(sum, most), one| (sum + one.weight, most.max(one.weight)));
             let largest = if sum > 0.0 { largest / sum } else { 0.0 };
-            Ok(Weighed { probability: sum / effort.samples as f64, largest, evaluations: climber.evaluations })
+            Ok(WeightedRepetition { probability: sum / effort.samples as f64, largest, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
 
     /// Whether these repetitions could have come of it.
-    pub(super) fn may_have(&self, repetitions: &[Weighed]) -> bool {
+    pub(super) fn is_consistent_with(&self, repetitions: &[WeightedRepetition]) -> bool {
         let effort = self.climbed.effort();
-        let is_mean = |one: &Weighed| one.probability.is_finite() && one.probability >= 0.0;
+        let is_mean = |one: &WeightedRepetition| one.probability.is_finite() && one.probability >= 0.0;
         repetitions
             .iter()
             .all(|one| is_mean(one) && (0.0..=1.0).contains(&one.largest) && one.evaluations == effort.samples as u64)
     }
 
     /// What all repetitions come to, in their order.
-    pub(super) fn summary(&self, repeated: &[Weighed]) -> Estimate {
+    pub(super) fn summary(&self, repeated: &[WeightedRepetition]) -> Estimate {
         let mut begun = self.climbed.begun();
         begun.evaluations = begun.evaluations.saturating_add(self.fitting);
         if !self.reaches_failure() {
@@ -169,7 +174,7 @@ impl Importance {
         let largest = repeated.iter().map(|one| one.largest * one.probability).fold(0.0, f64::max);
         let largest_weight = (sum > 0.0).then_some(largest / sum);
         // Weights first: an estimate without any of one level would be taken for a count.
-        let mut estimate = Estimate { evaluations, largest_weight, ..begun }.of_repetitions(shares);
+        let mut estimate = Estimate { evaluations, largest_weight, ..begun }.with_repetitions(shares);
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
@@ -185,27 +190,27 @@ impl Importance {
     }
 }
 
-impl Fitting {
+impl MixtureFitting {
     /// Nothing yet, but levels.
-    pub(super) fn of(climbed: Splitting) -> Self {
+    pub(super) fn new(climbed: Splitting) -> Self {
         Self { climbed, arrived: Vec::new(), mixture: None, rounds: 0, runs: 0 }
     }
 
     /// Whether that effort and that seed could have come to it, in a problem of so many numbers.
-    pub(super) fn may_be(&self, effort: Effort, seed: u64, dimension: usize) -> bool {
+    pub(super) fn is_consistent_with(&self, effort: Effort, seed: u64, dimension: usize) -> bool {
         let is_place = |place: &Vec<f64>| place.len() == dimension;
         self.climbed.is_of(effort, seed)
-            && self.arrived.len() as u64 <= POPULATIONS
+            && self.arrived.len() as u64 <= FIT_POPULATIONS
             && self.rounds <= ROUNDS
             && self.mixture.iter().all(|mixture| mixture.is_of(dimension))
             && self.arrived.iter().all(|arrived| arrived.failures.iter().all(is_place))
     }
 }
 
-impl Arrived {
+impl PopulationTrace {
     /// Of who is below each of so many `levels`, the last of which are failures; a population that died out reached fewer.
-    fn of(there: &[Vec<Sample>], levels: usize) -> Self {
-        let places = |level: &Vec<Sample>| Around::of(level.iter().map(|(state, _)| state.normal.as_slice()));
+    fn from_levels(there: &[Vec<Sample>], levels: usize) -> Self {
+        let places = |level: &Vec<Sample>| OriginMoments::of(level.iter().map(|(state, _)| state.normal.as_slice()));
         let failures = there.get(levels.saturating_sub(1)).into_iter().flatten();
         Self {
             levels: there.iter().map(places).collect(),
@@ -214,10 +219,10 @@ impl Arrived {
     }
 
     /// What is fitted to populations that climbed beside one another.
-    fn fit(arrived: &[Self], random: &mut Stream) -> Option<Mixture> {
-        let mut levels: Vec<Around> = Vec::new();
+    fn fit_mixture(arrived: &[Self], random: &mut Stream) -> Option<Mixture> {
+        let mut levels: Vec<OriginMoments> = Vec::new();
         for population in arrived {
-            levels.resize(levels.len().max(population.levels.len()), Around::default());
+            levels.resize(levels.len().max(population.levels.len()), OriginMoments::default());
             levels.iter_mut().zip(&population.levels).for_each(|(level, more)| level.take(more));
         }
         let failures = arrived.iter().flat_map(|population| &population.failures);
@@ -227,7 +232,7 @@ impl Arrived {
 }
 
 /// A population of draws, of which those that fail are returned, with their weights.
-fn weighed<P: Problem>(climber: &mut Climber<'_, P>, mixture: &Mixture) -> Result<Vec<Seen>, P::Error> {
+fn draw_weighted_failures<P: Problem>(climber: &mut ParticlePopulation<'_, P>, mixture: &Mixture) -> Result<Vec<Seen>, P::Error> {
     let drawn = climber
         .drawn(|dimension, random| State { normal: mixture.draw(dimension, random), noise: new_noise(random) })?;
     let failed = drawn.into_iter().filter(|(_, margin)| *margin < 0.0);

@@ -9,32 +9,34 @@ use serde::{Deserialize, Serialize};
 use crumple_world::random::Stream;
 
 /// Share of draws from the standard normal law itself: no draw weighs more than its inverse, wherever failures are that nobody has seen.
-const DEFENSIVE: f64 = 0.1;
+const DEFENSIVE_SHARE: f64 = 0.1;
 /// Share of draws from laws around the origin, one as wide as each level is far: what lies as far out in a direction that no population went
 /// is drawn too, and what noise alone makes fail on the way.
-const ALL_ROUND: f64 = 0.2;
+const ORIGIN_CENTERED_SHARE: f64 = 0.2;
 /// Parts that a mixture begins with: ways to fail that are far apart.
-const PARTS: usize = 4;
+const MAX_COMPONENTS: usize = 4;
 /// A part that explains less is left out.
-const LEAST_PART: f64 = 0.02;
+const MIN_COMPONENT_SHARE: f64 = 0.02;
 /// Steps of expectation and maximisation in a fit.
-const STEPS: usize = 12;
+const EM_STEPS: usize = 12;
 /// By how much spreads are widened: a proposal that is too narrow costs far more than one that is too wide.
-const WIDENED: f64 = 1.15;
+const COVARIANCE_INFLATION: f64 = 1.15;
 
 /// A mixture of normal laws: where failures are, all round as far out, and the standard one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Mixture {
     /// Each of the same share of theirs.
-    all_round: Vec<Part>,
-    parts: Vec<Part>,
+    #[serde(rename = "all_round")]
+    origin_centered: Vec<GaussianComponent>,
+    #[serde(rename = "parts")]
+    components: Vec<GaussianComponent>,
 }
 
 /// One of its laws.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Part {
+struct GaussianComponent {
     /// Of the draws by laws of its kind.
     share: f64,
     mean: Vec<f64>,
@@ -45,42 +47,43 @@ struct Part {
 /// How far from the origin places lie that are at some level.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Around {
-    places: u64,
+pub(super) struct OriginMoments {
+    #[serde(rename = "places")]
+    count: u64,
     /// Sums of products of two coordinates, row by row: of row i as many numbers as i + 1.
     products: Vec<f64>,
 }
 
 /// A place where a run failed, and what it stands for.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Seen {
-    pub(super) at: Vec<f64>,
+pub(super) struct WeightedPoint {
+    pub(super) point: Vec<f64>,
     pub(super) weight: f64,
 }
 
 impl Mixture {
     /// Fitted to failures, which is where their density is high, and as wide as the levels on the way to them; none without any, or of
     /// different dimensions. What they leave open is as in the standard law.
-    pub(super) fn fit(levels: &[Around], failures: &[Seen], random: &mut Stream) -> Option<Self> {
+    pub(super) fn fit(levels: &[OriginMoments], failures: &[WeightedPoint], random: &mut Stream) -> Option<Self> {
         let dimension = failures.first()?.at.len();
         if failures.iter().any(|seen| seen.at.len() != dimension) {
             return None;
         }
-        let mut centres: Vec<&[f64]> = vec![&drawn_by(failures, |seen| seen.weight, random)?.at];
+        let mut centres: Vec<&[f64]> = vec![&pick_weighted(failures, |seen| seen.weight, random)?.at];
         while centres.len() < PARTS {
             // The further away from what is covered, the likelier to be another way to fail.
-            let far = |seen: &Seen| {
+            let far = |seen: &WeightedPoint| {
                 let nearest =
                     centres.iter().map(|centre| square_distance(centre, &seen.at)).fold(f64::INFINITY, f64::min);
                 seen.weight * nearest
             };
-            let Some(next) = drawn_by(failures, far, random) else { break };
+            let Some(next) = pick_weighted(failures, far, random) else { break };
             centres.push(&next.at);
         }
         let share = 1.0 / centres.len() as f64;
         let standard = DMatrix::identity(dimension, dimension);
-        let begin = |centre: &&[f64]| Part::of(share, centre.to_vec(), standard.clone());
-        let mut all_round: Vec<Part> = levels.iter().filter_map(|level| level.part(dimension)).collect();
+        let begin = |centre: &&[f64]| GaussianComponent::of(share, centre.to_vec(), standard.clone());
+        let mut all_round: Vec<GaussianComponent> = levels.iter().filter_map(|level| level.part(dimension)).collect();
         let equal = 1.0 / all_round.len() as f64;
         all_round.iter_mut().for_each(|part| part.share = equal);
         let mut mixture = Self { all_round, parts: centres.iter().filter_map(begin).collect() };
@@ -91,32 +94,32 @@ impl Mixture {
     }
 
     /// Whether it is a law of so many numbers.
-    pub(super) fn is_of(&self, dimension: usize) -> bool {
+    pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         let factors = dimension * (dimension + 1) / 2;
         let mut parts = self.all_round.iter().chain(&self.parts);
         parts.all(|part| part.mean.len() == dimension && part.factor.len() == factors)
     }
 
     /// A step of expectation and maximisation.
-    pub(super) fn refitted(&self, failures: &[Seen]) -> Option<Self> {
+    pub(super) fn em_step(&self, failures: &[WeightedPoint]) -> Option<Self> {
         let all: f64 = failures.iter().map(|seen| seen.weight).sum();
         let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.charges(&seen.at)).collect();
         let part = |index: usize| {
-            let own: Vec<(f64, &Seen)> = failures
+            let own: Vec<(f64, &WeightedPoint)> = failures
                 .iter()
                 .zip(&charges)
                 .filter_map(|(seen, charges)| Some((seen.weight * charges.get(index)?, seen)))
                 .collect();
-            Part::fitted(&own, all)
+            GaussianComponent::fitted(&own, all)
         };
-        let mut parts: Vec<Part> = (0..self.parts.len()).filter_map(part).collect();
+        let mut parts: Vec<GaussianComponent> = (0..self.parts.len()).filter_map(part).collect();
         let kept: f64 = parts.iter().map(|part| part.share).sum();
         parts.iter_mut().for_each(|part| part.share /= kept);
         (!parts.is_empty() && kept > 0.0).then_some(Self { all_round: self.all_round.clone(), parts })
     }
 
     /// How far each part is responsible for a place.
-    fn charges(&self, at: &[f64]) -> Vec<f64> {
+    fn responsibilities(&self, at: &[f64]) -> Vec<f64> {
         let ln: Vec<f64> = self.parts.iter().map(|part| log(part.share) + part.ln_density(at)).collect();
         let most = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let relative: Vec<f64> = ln.iter().map(|one| exp(one - most)).collect();
@@ -127,7 +130,7 @@ impl Mixture {
     /// A draw.
     pub(super) fn draw(&self, dimension: usize, random: &mut Stream) -> Vec<f64> {
         let normal = |random: &mut Stream| (0..dimension).map(|_| StandardNormal.sample(random)).collect::<Vec<f64>>();
-        let mut lot: f64 = random.random::<f64>() - DEFENSIVE;
+        let mut lot: f64 = random.random::<f64>() - DEFENSIVE_SHARE;
         if lot < 0.0 {
             return normal(random);
         }
@@ -140,39 +143,39 @@ impl Mixture {
         from.or(self.parts.last()).map_or(drawn.clone(), |part| part.placed(&drawn))
     }
 
-    /// How much likelier a place is by the standard law than as a draw of this: at most 1/[`DEFENSIVE`].
-    pub(super) fn weight(&self, at: &[f64]) -> f64 {
+    /// How much likelier a place is by the standard law than as a draw of this: at most 1/[`DEFENSIVE_SHARE`].
+    pub(super) fn importance_weight(&self, at: &[f64]) -> f64 {
         let standard = -0.5 * at.iter().map(|x| x * x).sum::<f64>();
         let ratios = self.laws().map(|(share, part)| share * exp(part.ln_density(at) - standard));
-        1.0 / (DEFENSIVE + ratios.sum::<f64>())
+        1.0 / (DEFENSIVE_SHARE + ratios.sum::<f64>())
     }
 
     /// All laws but the standard one, each with its share of all draws.
-    fn laws(&self) -> impl Iterator<Item = (f64, &Part)> {
-        let around = self.all_round.iter().map(|part| (ALL_ROUND * part.share, part));
-        around.chain(self.parts.iter().map(|part| ((1.0 - DEFENSIVE - ALL_ROUND) * part.share, part)))
+    fn weighted_components(&self) -> impl Iterator<Item = (f64, &GaussianComponent)> {
+        let around = self.all_round.iter().map(|part| (ORIGIN_CENTERED_SHARE * part.share, part));
+        around.chain(self.parts.iter().map(|part| ((1.0 - DEFENSIVE_SHARE - ORIGIN_CENTERED_SHARE) * part.share, part)))
     }
 }
 
-impl Part {
+impl GaussianComponent {
     /// None of what is no covariance.
-    fn of(share: f64, mean: Vec<f64>, covariance: DMatrix<f64>) -> Option<Self> {
+    fn new(share: f64, mean: Vec<f64>, covariance: DMatrix<f64>) -> Option<Self> {
         let lower = Cholesky::new(covariance)?.unpack();
         let rows = (0..mean.len()).flat_map(|row| (0..=row).map(move |column| (row, column)));
         Some(Self { share, mean, factor: rows.filter_map(|place| lower.get(place).copied()).collect() })
     }
 
     /// To places and how far it is responsible for each, of so much in all; none if that is too little.
-    fn fitted(own: &[(f64, &Seen)], all: f64) -> Option<Self> {
+    fn fit(own: &[(f64, &WeightedPoint)], all: f64) -> Option<Self> {
         let sum: f64 = own.iter().map(|(w, _)| w).sum();
         let share = sum / all;
-        if share.is_nan() || share < LEAST_PART {
+        if share.is_nan() || share < MIN_COMPONENT_SHARE {
             return None;
         }
         let mut mean = DVector::zeros(own.first()?.1.at.len());
         own.iter().for_each(|(w, seen)| mean.axpy(w / sum, &DVector::from_column_slice(&seen.at), 1.0));
         let (seen, covariance) = moment(own, &mean)?;
-        Self::of(share, mean.as_slice().to_vec(), with_prior(covariance, seen, WIDENED))
+        Self::of(share, mean.as_slice().to_vec(), with_prior(covariance, seen, COVARIANCE_INFLATION))
     }
 
     /// Logarithm of the density, but for the constant that all normal laws of a dimension share.
@@ -191,7 +194,7 @@ impl Part {
     }
 
     /// Where independent standard numbers come to be.
-    fn placed(&self, normal: &[f64]) -> Vec<f64> {
+    fn transform(&self, normal: &[f64]) -> Vec<f64> {
         let mut rest = self.factor.as_slice();
         let place = |(row, mean): (usize, &f64)| {
             let (own, below) = rest.split_at_checked(row + 1)?;
@@ -202,9 +205,9 @@ impl Part {
     }
 }
 
-impl Around {
+impl OriginMoments {
     /// Of these places.
-    pub(super) fn of<'a>(places: impl IntoIterator<Item = &'a [f64]>) -> Self {
+    pub(super) fn from_points<'a>(places: impl IntoIterator<Item = &'a [f64]>) -> Self {
         let mut around = Self::default();
         for place in places {
             let of_row = |(row, x): (usize, &f64)| -> Vec<f64> { place.iter().take(row + 1).map(|y| x * y).collect() };
@@ -215,7 +218,7 @@ impl Around {
     }
 
     /// Takes in others at the same level.
-    pub(super) fn take(&mut self, other: &Self) {
+    pub(super) fn merge(&mut self, other: &Self) {
         if self.products.len() < other.products.len() {
             self.products.resize(other.products.len(), 0.0);
         }
@@ -224,7 +227,7 @@ impl Around {
     }
 
     /// A law as wide in every direction as they are far from the origin; none without any.
-    fn part(&self, dimension: usize) -> Option<Part> {
+    fn component(&self, dimension: usize) -> Option<GaussianComponent> {
         if self.places == 0 || self.products.len() != dimension * (dimension + 1) / 2 {
             return None;
         }
@@ -234,12 +237,12 @@ impl Around {
             self.products.get(row * (row + 1) / 2 + column).map_or(0.0, |sum| sum / seen)
         };
         let moment = DMatrix::from_fn(dimension, dimension, at);
-        Part::of(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
+        GaussianComponent::of(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
     }
 }
 
 /// The second moment of places with weights about a centre, and as how many draws of one weight they say; none without weight.
-fn moment(own: &[(f64, &Seen)], centre: &DVector<f64>) -> Option<(f64, DMatrix<f64>)> {
+fn weighted_second_moment(own: &[(f64, &WeightedPoint)], centre: &DVector<f64>) -> Option<(f64, DMatrix<f64>)> {
     let (sum, squares) = own.iter().fold((0.0, 0.0), |(sum, squares), (w, _)| (sum + w, squares + w * w));
     if squares.is_nan() || squares <= 0.0 {
         return None;
@@ -260,15 +263,15 @@ fn with_prior(covariance: DMatrix<f64>, seen: f64, widened: f64) -> DMatrix<f64>
     covariance * (widened * seen / (seen + before)) + standard * (before / (seen + before))
 }
 
-fn square_distance(a: &[f64], b: &[f64]) -> f64 {
+fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
 /// One of them, by lot; none where nothing has a chance.
-fn drawn_by<'a>(all: &'a [Seen], chance: impl Fn(&Seen) -> f64, random: &mut Stream) -> Option<&'a Seen> {
+fn pick_weighted<'a>(all: &'a [WeightedPoint], chance: impl Fn(&WeightedPoint) -> f64, random: &mut Stream) -> Option<&'a WeightedPoint> {
     let sum: f64 = all.iter().map(&chance).sum();
     let mut lot = random.random::<f64>() * sum;
-    let of = |seen: &&Seen| {
+    let of = |seen: &&WeightedPoint| {
         lot -= chance(seen);
         lot < 0.0
     };
@@ -281,17 +284,17 @@ mod tests {
 
     use super::*;
 
-    fn failures(dimension: usize, count: usize, random: &mut Stream) -> Vec<Seen> {
+    fn failures(dimension: usize, count: usize, random: &mut Stream) -> Vec<WeightedPoint> {
         let at = |random: &mut Stream| {
             let mut at: Vec<f64> = (0..dimension).map(|_| StandardNormal.sample(random)).collect();
             at[0] = 4.0 + 0.3 * at[1];
             at
         };
-        (0..count).map(|_| Seen { at: at(random), weight: 1.0 }).collect()
+        (0..count).map(|_| WeightedPoint { at: at(random), weight: 1.0 }).collect()
     }
 
-    fn fitted(failures: Vec<Seen>, random: &mut Stream) -> Option<Mixture> {
-        Mixture::fit(&[Around::of(failures.iter().map(|seen| seen.at.as_slice()))], &failures, random)
+    fn fitted(failures: Vec<WeightedPoint>, random: &mut Stream) -> Option<Mixture> {
+        Mixture::fit(&[OriginMoments::of(failures.iter().map(|seen| seen.at.as_slice()))], &failures, random)
     }
 
     /// Whatever they are divided into, places lie as far out.
@@ -299,14 +302,14 @@ mod tests {
     fn how_far_out_places_lie_can_be_put_together() {
         let mut random = Stream::seed_from_u64(4);
         let all = failures(3, 40, &mut random);
-        let around = |some: &[Seen]| Around::of(some.iter().map(|seen| seen.at.as_slice()));
+        let around = |some: &[WeightedPoint]| OriginMoments::of(some.iter().map(|seen| seen.at.as_slice()));
         let mut divided = around(&all[..13]);
         divided.take(&around(&[]));
         divided.take(&around(&all[13..]));
         assert_eq!(divided.places, 40);
         let off = divided.products.iter().zip(&around(&all).products).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off < 1e-10 && divided.products.len() == 6 && divided.part(3).is_some(), "{off}");
-        assert!(divided.part(2).is_none() && Around::default().part(3).is_none());
+        assert!(divided.part(2).is_none() && OriginMoments::default().part(3).is_none());
     }
 
     /// A proposal is a probability law: draws of it, weighted, come to as much as there is, and no weight is beyond its bound.
@@ -317,7 +320,7 @@ mod tests {
         let weights: Vec<f64> = (0..200_000).map(|_| mixture.weight(&mixture.draw(5, &mut random))).collect();
         let mean = weights.iter().sum::<f64>() / weights.len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "{mean}");
-        assert!(weights.iter().all(|weight| (0.0..=1.0 / DEFENSIVE + 1e-9).contains(weight)));
+        assert!(weights.iter().all(|weight| (0.0..=1.0 / DEFENSIVE_SHARE + 1e-9).contains(weight)));
     }
 
     #[test]
@@ -333,8 +336,8 @@ mod tests {
     fn nothing_is_fitted_to_nothing() {
         let mut random = Stream::seed_from_u64(3);
         assert_eq!(Mixture::fit(&[], &[], &mut random), None);
-        assert_eq!(fitted(vec![Seen { at: vec![1.0], weight: 0.0 }], &mut random), None);
-        let [one, two] = [vec![1.0], vec![1.0, 2.0]].map(|at| Seen { at, weight: 1.0 });
+        assert_eq!(fitted(vec![WeightedPoint { at: vec![1.0], weight: 0.0 }], &mut random), None);
+        let [one, two] = [vec![1.0], vec![1.0, 2.0]].map(|at| WeightedPoint { at, weight: 1.0 });
         assert_eq!(fitted(vec![one, two.clone()], &mut random), None);
         let one = fitted(vec![two], &mut random).unwrap();
         assert!(one.is_of(2) && !one.is_of(1));

@@ -30,7 +30,7 @@
 //! often than the interval says. Sampling noise of the sensors is redrawn from time to time, not climbed: a failure that
 //! noise alone decides is found no sooner than by counting.
 
-mod driving;
+mod plan;
 mod folder;
 mod importance;
 mod mixture;
@@ -47,16 +47,16 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub use driving::{RareError, RarePlan, RareReport};
+pub use plan::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
 pub use importance::Importance;
 pub use pilot::{Pilot, Repetitions};
-pub use shard::{MergedEstimate, RareShard, SHARD_OF_AN_ESTIMATE};
-pub use splitting::{MOST_LEVELS, PILOTS, Splitting};
+pub use shard::{MergedEstimate, RareShard, ESTIMATE_SHARD_KIND};
+pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Splitting};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Effort {
+pub struct SplittingConfig {
     /// Runs of a population, at least 50.
     pub samples: usize,
     /// Independent populations, at least 5.
@@ -75,14 +75,14 @@ pub enum RareMethod {
     Importance,
 }
 
-impl Effort {
+impl SplittingConfig {
     /// With what there must be at least.
-    fn at_least(self) -> Self {
+    fn clamped(self) -> Self {
         Self { samples: self.samples.max(50), repetitions: self.repetitions.max(5) }
     }
 }
 
-impl Default for Effort {
+impl Default for SplittingConfig {
     fn default() -> Self {
         Self { samples: 500, repetitions: 20 }
     }
@@ -131,7 +131,7 @@ impl TryFrom<WrittenLevel> for Level {
 
 /// What splitting found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
+pub struct RareEstimate {
     /// The probability of a failure, at most 1; none if the pilot did not reach it.
     pub probability: Option<f64>,
     /// Standard deviation of the mean of the repetitions, relative to it; none if it is zero.

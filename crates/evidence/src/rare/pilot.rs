@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::importance::{Fitting, Importance, Weighed};
+use super::importance::{MixtureFitting, Importance, WeightedRepetition};
 use super::splitting::{Problem, Repetition};
 use super::{Effort, Estimate, RareMethod, Splitting};
 use crumple_core::observer::Counter;
 
 /// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
 /// down costs milliseconds.
-const RUNS_TO_KEEP: u64 = 500;
+const MIN_RUNS_PER_WRITE: u64 = 500;
 
 /// All that repetitions need to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub enum Repetitions {
     /// Populations that climbed.
     Splitting(Vec<Repetition>),
     /// Populations that were drawn where failures are.
-    Importance(Vec<Weighed>),
+    Importance(Vec<WeightedRepetition>),
 }
 
 impl Pilot {
@@ -49,11 +49,11 @@ impl Pilot {
     }
 
     /// Runs the pilot, or what is left of it where something is being fitted. `keep` hears of all that is worth keeping on the way.
-    pub(super) fn go_on<P: Problem>(
+    pub(super) fn resume<P: Problem>(
         problem: &P,
         (method, effort, seed): (RareMethod, Effort, u64),
-        begun: Option<Fitting>,
-        keep: &mut dyn FnMut(&Fitting) -> Result<(), P::Error>,
+        begun: Option<MixtureFitting>,
+        keep: &mut dyn FnMut(&MixtureFitting) -> Result<(), P::Error>,
         counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let begun = match (method, begun) {
@@ -62,7 +62,7 @@ impl Pilot {
             }
             (RareMethod::Importance, Some(begun)) => begun,
             (RareMethod::Importance, None) => {
-                let begun = Fitting::of(Splitting::pilot(problem, effort, seed, counter)?);
+                let begun = MixtureFitting::of(Splitting::pilot(problem, effort, seed, counter)?);
                 keep(&begun)?;
                 begun
             }
@@ -81,10 +81,10 @@ impl Pilot {
 
     /// How many runs the repetitions will make at most.
     #[must_use]
-    pub fn runs_ahead(&self) -> u64 {
+    pub fn planned_runs(&self) -> u64 {
         match self {
-            Self::Splitting(levels) => levels.runs_ahead(),
-            Self::Importance(proposal) => proposal.runs_ahead(),
+            Self::Splitting(levels) => levels.planned_runs(),
+            Self::Importance(proposal) => proposal.planned_runs(),
         }
     }
 
@@ -100,7 +100,7 @@ impl Pilot {
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn repeat<P: Problem>(
+    pub(super) fn run_repetitions<P: Problem>(
         &self,
         problem: &P,
         range: Range<u64>,
@@ -136,7 +136,7 @@ impl Pilot {
     }
 
     /// Whether it was run by that method, with that effort and by that seed.
-    pub(super) fn is_of(&self, method: RareMethod, effort: Effort, seed: u64) -> bool {
+    pub(super) fn is_run_by(&self, method: RareMethod, effort: Effort, seed: u64) -> bool {
         let own = match self {
             Self::Splitting(_) => RareMethod::Splitting,
             Self::Importance(_) => RareMethod::Importance,
@@ -145,7 +145,7 @@ impl Pilot {
     }
 
     /// Whether it is of a problem of so many numbers.
-    pub(super) fn is_in(&self, dimension: usize) -> bool {
+    pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         match self {
             Self::Splitting(_) => true,
             Self::Importance(proposal) => proposal.is_in(dimension),
@@ -154,10 +154,10 @@ impl Pilot {
 
     /// How many repetitions are made before what came of them is kept: as many as there are threads to make them, and more where one is
     /// of few runs.
-    pub(super) fn kept_together(&self) -> u64 {
+    pub(super) fn repetitions_per_write(&self) -> u64 {
         let all = self.levels().effort().repetitions as u64;
-        let each = (self.runs_ahead() / all.max(1)).max(1);
-        RUNS_TO_KEEP.div_ceil(each).max(rayon::current_num_threads() as u64)
+        let each = (self.planned_runs() / all.max(1)).max(1);
+        MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
     }
 
     fn levels(&self) -> &Splitting {
@@ -168,10 +168,10 @@ impl Pilot {
     }
 
     /// Whether these repetitions could have come of it.
-    pub(super) fn may_have(&self, repeated: &Repetitions) -> bool {
+    pub(super) fn is_consistent_with(&self, repeated: &Repetitions) -> bool {
         match (self, repeated) {
-            (Self::Splitting(levels), Repetitions::Splitting(some)) => levels.may_have(some),
-            (Self::Importance(proposal), Repetitions::Importance(some)) => proposal.may_have(some),
+            (Self::Splitting(levels), Repetitions::Splitting(some)) => levels.is_consistent_with(some),
+            (Self::Importance(proposal), Repetitions::Importance(some)) => proposal.is_consistent_with(some),
             _ => false,
         }
     }

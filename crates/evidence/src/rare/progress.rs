@@ -7,49 +7,50 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::driving::RareRecord;
-use super::importance::Fitting;
+use super::plan::RareRecord;
+use super::importance::MixtureFitting;
 use super::{Estimate, Pilot, RareError, RarePlan, Repetitions};
 use crumple_core::observer::Counter;
 use crumple_store::work::{Work, WorkError};
 use crumple_world::scenario::space::Space;
 
-pub(super) const PROGRESS: &str = "progress.json";
+pub(super) const PROGRESS_FILE: &str = "progress.json";
 
 /// A folder in which an estimate, or a shard of one, is made.
 #[derive(Debug)]
-pub(super) struct Progress {
-    work: Work,
-    found: Found,
+pub(super) struct RareProgress {
+    run_folder: Work,
+    state: Found,
 }
 
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Found {
+struct RareProgressFile {
     /// Of importance sampling, until the pilot is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    fitting: Option<Fitting>,
+    fitting: Option<MixtureFitting>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pilot: Option<Pilot>,
     /// The first of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     repetitions: Option<Repetitions>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    resampled: Option<Resampled>,
+    #[serde(rename = "resampled")]
+    resample_estimates: Option<ResampleEstimates>,
 }
 
 /// What came of the first of its own resamples.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Resampled {
+struct ResampleEstimates {
     /// Of so many.
     resamples: u32,
     estimates: Vec<Estimate>,
 }
 
-impl Progress {
+impl RareProgress {
     /// What is in the folder of so many repetitions of an estimate.
-    pub(super) fn in_folder(work: Work, record: &RareRecord, repetitions: u64) -> Result<Self, WorkError> {
+    pub(super) fn load(work: Work, record: &RareRecord, repetitions: u64) -> Result<Self, WorkError> {
         let damaged = |problem: String| WorkError::damaged(&work.path(PROGRESS), problem);
         let Some(bytes) = work.read(PROGRESS)? else { return Ok(Self { work, found: Found::default() }) };
         let found: Found = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
@@ -60,14 +61,14 @@ impl Progress {
     }
 
     /// The folder.
-    pub(super) fn work(&self) -> &Work {
+    pub(super) fn run_folder(&self) -> &Work {
         &self.work
     }
 
     /// The pilot that is there, or what is left of it.
-    pub(super) fn pilot(&mut self, plan: &RarePlan, counter: &Counter<'_>) -> Result<Pilot, RareError> {
+    pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &Counter<'_>) -> Result<Pilot, RareError> {
         let dimension = plan.space.dimension();
-        let may_be = |fitting: &Fitting| fitting.may_be(plan.effort, plan.seed, dimension);
+        let may_be = |fitting: &MixtureFitting| fitting.may_be(plan.effort, plan.seed, dimension);
         if !self.found.pilot.iter().all(|pilot| pilot.is_in(dimension)) || !self.found.fitting.iter().all(may_be) {
             return Err(WorkError::damaged(&self.work.path(PROGRESS), "not of this space").into());
         }
@@ -75,7 +76,7 @@ impl Progress {
             return Ok(pilot.clone());
         }
         let work = &self.work;
-        let mut keep = |fitting: &Fitting| -> Result<(), RareError> {
+        let mut keep = |fitting: &MixtureFitting| -> Result<(), RareError> {
             Found { fitting: Some(fitting.clone()), ..Found::default() }.keep(work)
         };
         let asked = (plan.method, plan.effort, plan.seed);
@@ -86,26 +87,26 @@ impl Progress {
     }
 
     /// How many of its repetitions were made already.
-    pub(super) fn kept_repetitions(&self) -> u64 {
+    pub(super) fn completed_repetitions(&self) -> u64 {
         self.found.repetitions.as_ref().map_or(0, Repetitions::count)
     }
 
     /// Some of the repetitions, of which those that are there are not made again.
-    pub(super) fn repeat(
+    pub(super) fn run_repetitions(
         &mut self,
         plan: &RarePlan,
         pilot: &Pilot,
         own: Range<u64>,
         counter: &Counter<'_>,
     ) -> Result<Repetitions, RareError> {
-        let mut next = own.start + self.kept_repetitions();
+        let mut next = own.start + self.completed_repetitions();
         // Where the pilot reached no failure, there are none to make.
         let mut repetitions = match self.found.repetitions.take() {
             Some(kept) => kept,
             None => pilot.repeat(plan, own.start..own.start, counter)?,
         };
         while pilot.reaches_failure() && next < own.end {
-            let end = own.end.min(next.saturating_add(pilot.kept_together()));
+            let end = own.end.min(next.saturating_add(pilot.repetitions_per_write()));
             repetitions.append(pilot.repeat(plan, next..end, counter)?);
             next = end;
             self.found.repetitions = Some(repetitions.clone());
@@ -116,9 +117,9 @@ impl Progress {
     }
 
     /// Estimates in other spaces, those fitted to so many resamples of which it makes some in order: what is there is not made again.
-    pub(super) fn again(&mut self, resamples: u32) -> Again<'_> {
+    pub(super) fn resample_estimator(&mut self, resamples: u32) -> Again<'_> {
         if self.found.resampled.as_ref().is_none_or(|resampled| resampled.resamples != resamples) {
-            self.found.resampled = Some(Resampled { resamples, estimates: Vec::new() });
+            self.found.resampled = Some(ResampleEstimates { resamples, estimates: Vec::new() });
         }
         Again { progress: self, next: 0 }
     }
@@ -131,8 +132,8 @@ impl Progress {
 }
 
 /// Estimates in resamples, while they are gone through.
-pub(super) struct Again<'a> {
-    progress: &'a mut Progress,
+pub(super) struct ResampleEstimator<'a> {
+    progress: &'a mut RareProgress,
     next: usize,
 }
 
@@ -163,15 +164,15 @@ impl Again<'_> {
 }
 
 impl Found {
-    fn keep(&self, work: &Work) -> Result<(), RareError> {
+    fn write(&self, work: &Work) -> Result<(), RareError> {
         Ok(work.write(PROGRESS, serde_json::to_string(self)? + "\n")?)
     }
 
     /// Whether an estimate of which so many repetitions are made could have come to it.
-    fn may_be(&self, record: &RareRecord, repetitions: u64) -> bool {
+    fn is_consistent_with(&self, record: &RareRecord, repetitions: u64) -> bool {
         let is_own = |pilot: &Pilot| pilot.is_of(record.method, record.effort, record.seed);
         let may_be = |some: &Repetitions| {
-            some.count() <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.may_have(some))
+            some.count() <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.is_consistent_with(some))
         };
         self.pilot.iter().all(is_own) && self.repetitions.iter().all(may_be)
     }

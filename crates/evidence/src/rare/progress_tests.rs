@@ -25,12 +25,12 @@ fn plan(method: RareMethod, seed: u64) -> RarePlan {
     }
 }
 
-fn on<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
 /// Makes an estimate, or a shard of one, in a folder; says how many runs it took, or that it was interrupted.
-fn made(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Option<u64> {
+fn run_until(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Option<u64> {
     let runs = AtomicU64::new(0);
     // Pilot and repetitions both count from 0.
     let after = |before: u64| {
@@ -43,7 +43,7 @@ fn made(plan: &RarePlan, shard: Option<Shard>, folder: &Path, plug: u64) -> Opti
     let so_far = || runs.load(Ordering::SeqCst);
     let work = || match shard {
         Some(shard) => {
-            let mut part = plan.shard_in_folder(shard, 0, folder, true).unwrap();
+            let mut part = plan.open_shard_folder(shard, 0, folder, true).unwrap();
             if !part.is_complete() {
                 let pilot = part.pilot(&after(0)).unwrap();
                 part.repeat(&pilot, &after(so_far())).unwrap();
@@ -99,7 +99,7 @@ fn repetitions_are_kept_as_they_end() {
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
         let all = on(1, || made(&plan, None, &through, u64::MAX)).unwrap();
         assert_eq!(on(1, || made(&plan, None, &broken, all - 1)), None);
-        assert!(plan.in_folder(&broken, true).unwrap().kept_repetitions() >= 4, "{method:?}");
+        assert!(plan.in_folder(&broken, true).unwrap().completed_repetitions() >= 4, "{method:?}");
         let left = on(1, || made(&plan, None, &broken, u64::MAX)).unwrap();
         assert!(left > 0 && left < all / 3, "{method:?}: {left} of {all}");
         assert_same(&through, &broken, "rare-estimate.json");

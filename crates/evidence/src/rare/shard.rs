@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::driving::RareRecord;
+use super::plan::RareRecord;
 use super::progress::Progress;
 use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
-use crate::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, estimate_again, own_resamples};
+use crate::exposure::{ExposedRate, ResampleCountMismatch, FailureProbability, MergedResamples, estimate_again, own_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
 use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
@@ -18,7 +18,7 @@ use crumple_store::work::{Finished, WorkError};
 use crumple_world::scenario::space::{Space, file};
 
 /// What a folder of one is called in its `work.json`.
-pub const SHARD_OF_AN_ESTIMATE: &str = "shard of a rare-failure estimate";
+pub const ESTIMATE_SHARD_KIND: &str = "shard of a rare-failure estimate";
 
 /// Everything that decides an estimate that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,11 +26,12 @@ pub struct ShardedEstimate {
     estimate: RareRecord,
     /// Present if failures are stated per hour.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    exposed: Option<Exposed>,
+    #[serde(rename = "exposed")]
+    exposure: Option<ExposureConfig>,
 }
 
 impl Sharded for ShardedEstimate {
-    const KIND: &'static str = SHARD_OF_AN_ESTIMATE;
+    const KIND: &'static str = ESTIMATE_SHARD_KIND;
     const VERSION: u32 = 3;
     const RESULTS: &'static str = "repetitions.json";
     const PARTS: &'static str = "repetitions";
@@ -50,16 +51,16 @@ impl Sharded for ShardedEstimate {
 }
 
 impl Mergeable for ShardedEstimate {
-    type File = Repeated;
-    type Results = Repeated;
+    type File = RareShardResults;
+    type Results = RareShardResults;
 
-    fn check(&self, repeated: Repeated, shard: Shard, own: &Range<u64>) -> Result<Repeated, String> {
+    fn check(&self, repeated: RareShardResults, shard: Shard, own: &Range<u64>) -> Result<RareShardResults, String> {
         let made = if repeated.pilot.reaches_failure() { own.end - own.start } else { 0 };
         let resamples = self.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
         let resampled = own_resamples(resamples, own, self.parts());
-        let is_of_space = |exposed: &Exposed| sha256(&exposed.space_text) == self.estimate.space_sha256;
+        let is_of_space = |exposed: &ExposureConfig| sha256(&exposed.space_text) == self.estimate.space_sha256;
         let is_sound = repeated.pilot.is_of(self.estimate.method, self.estimate.effort, self.estimate.seed)
-            && repeated.pilot.may_have(&repeated.repetitions)
+            && repeated.pilot.is_consistent_with(&repeated.repetitions)
             && repeated.repetitions.count() == made
             && self.exposed.iter().all(is_of_space)
             // There are fewer where no space could be fitted to some.
@@ -68,7 +69,7 @@ impl Mergeable for ShardedEstimate {
     }
 
     /// Returns the pilot if it differs: one seed places the same levels on every machine.
-    fn contradiction(one: &Repeated, other: &Repeated) -> Option<String> {
+    fn contradiction(one: &RareShardResults, other: &RareShardResults) -> Option<String> {
         (one.pilot != other.pilot).then(|| "the pilot, as of another build,".to_owned())
     }
 }
@@ -76,7 +77,7 @@ impl Mergeable for ShardedEstimate {
 /// What decides what an estimate comes to per hour.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Exposed {
+struct ExposureConfig {
     /// Of the episodes that the space was fitted to.
     resamples: u32,
     /// The space, in TOML.
@@ -86,12 +87,13 @@ struct Exposed {
 /// Results of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Repeated {
+pub struct RareShardResults {
     pilot: Pilot,
     repetitions: Repetitions,
     /// Estimates in its share of the resamples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    resampled: Vec<Estimate>,
+    #[serde(rename = "resampled")]
+    resample_estimates: Vec<Estimate>,
 }
 
 /// A folder for a shard of an estimate, in use.
@@ -108,7 +110,7 @@ impl RarePlan {
     /// # Errors
     /// [`RareError`] if there are fewer repetitions than shards, the controller states no identity, or the folder cannot be used,
     /// holds something else, or is damaged.
-    pub fn shard_in_folder(
+    pub fn open_shard_folder(
         &self,
         shard: Shard,
         resamples: u32,
@@ -121,7 +123,7 @@ impl RarePlan {
         }
         let own = shard.range(self.effort.repetitions as u64, ShardedEstimate::PARTS)?;
         let exposed = match self.space.spec().exposure {
-            Some(_) => Some(Exposed { resamples, space_text: file::to_toml(&self.space)? }),
+            Some(_) => Some(ExposureConfig { resamples, space_text: file::to_toml(&self.space)? }),
             None => None,
         };
         let resamples = exposed.as_ref().map_or(0, |exposed| exposed.resamples);
@@ -143,7 +145,7 @@ impl RareShard<'_> {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
-    pub fn pilot(&mut self, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
+    pub fn run_pilot(&mut self, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
         self.progress.pilot(self.plan, &Counter::new(observer, None))
     }
 
@@ -151,7 +153,7 @@ impl RareShard<'_> {
     ///
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the shard.
-    pub fn repeat(&mut self, pilot: &Pilot, observer: &dyn Observer<RunProgress>) -> Result<(), RareError> {
+    pub fn run_repetitions(&mut self, pilot: &Pilot, observer: &dyn Observer<RunProgress>) -> Result<(), RareError> {
         let counter = Counter::new(observer, None);
         let all = self.plan.effort.repetitions as u64;
         let range = self.shard.range(all, ShardedEstimate::PARTS)?;
@@ -165,7 +167,7 @@ impl RareShard<'_> {
             }
             false => Vec::new(),
         };
-        let repeated = Repeated { pilot: pilot.clone(), repetitions, resampled };
+        let repeated = RareShardResults { pilot: pilot.clone(), repetitions, resampled };
         self.progress.finish(ShardedEstimate::RESULTS, serde_json::to_string_pretty(&repeated)? + "\n")
     }
 }
@@ -193,7 +195,7 @@ impl MergedEstimate {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         Merged::of(folder, found).map(Self)
     }
 
@@ -203,23 +205,23 @@ impl MergedEstimate {
     /// # Errors
     /// [`MergeError`] if the estimates in resamples are not those of the space.
     pub fn report(&self) -> Result<Option<RareReport>, MergeError> {
-        let Some(first) = self.results().next().filter(|_| self.missing_parts() == 0) else { return Ok(None) };
+        let Some(first) = self.results().next().filter(|_| self.missing_part_count() == 0) else { return Ok(None) };
         let repetitions = self.results().map(|repeated| &repeated.repetitions);
         let report = self.work().estimate.report(first.pilot.summary(repetitions));
         Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
     }
 
-    fn exposed(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
-        let Some(Exposed { resamples, space_text }) = &self.work().exposed else { return Ok(None) };
+    fn rate_per_exposure(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
+        let Some(ExposureConfig { resamples, space_text }) = &self.work().exposed else { return Ok(None) };
         let unusable = |problem: String| self.parts().unusable(SHARD, problem);
         let space = file::from_toml(space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let mut kept = PutTogether::of(self.results().flat_map(|repeated| &repeated.resampled).cloned().collect());
+        let mut kept = MergedResamples::of(self.results().flat_map(|repeated| &repeated.resampled).cloned().collect());
         let resamples = estimate_again(&space, self.work().estimate.seed, *resamples, &mut |_: &Space, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =
-            resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
-        Ok(ExposedRate::of(&space, Probability::Estimated(estimate), resamples.as_ref()))
+            resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+        Ok(ExposedRate::of(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
     /// Writes the folder of the whole estimate, that of an estimate by one machine to the byte, and says where the estimate is; none

@@ -26,7 +26,7 @@ fn plan(seed: u64) -> RarePlan {
     }
 }
 
-fn finished(folder: &std::path::Path) -> Finished {
+fn read_completed(folder: &std::path::Path) -> Finished {
     match find(folder).unwrap() {
         Found::Finished(finished) => finished,
         other => panic!("{other:?}"),
@@ -39,7 +39,7 @@ fn shards_of_an_estimate_come_to_the_estimate_of_one_machine() {
 }
 
 /// In any order, some twice: the bytes of an estimate by one machine, or nothing while some are missing.
-fn put_together(seed: u64) {
+fn check_merge(seed: u64) {
     let (plan, root) = (plan(seed), tempfile::tempdir().unwrap());
     let single = root.path().join("single");
     let pilot = {
@@ -50,7 +50,7 @@ fn put_together(seed: u64) {
     };
     let made = |index: u32, of: u32| -> PathBuf {
         let folder = root.path().join(format!("{index}-of-{of}"));
-        let mut part = plan.shard_in_folder(Shard::new(index, of).unwrap(), 0, &folder, true).unwrap();
+        let mut part = plan.open_shard_folder(Shard::new(index, of).unwrap(), 0, &folder, true).unwrap();
         if !part.is_complete() {
             part.repeat(&pilot, &Quiet).unwrap();
         }
@@ -71,7 +71,7 @@ fn put_together(seed: u64) {
         folders.iter().for_each(|folder| merged.take(folder, &finished(folder)).unwrap());
         let out = root.path().join("merged");
         assert_eq!(merged.write_in(&out).unwrap().is_some(), is_whole);
-        assert_eq!((merged.missing_parts() == 0), is_whole);
+        assert_eq!((merged.missing_part_count() == 0), is_whole);
         if is_whole {
             complete += 1;
             for name in ["rare-estimate.json", "work.json"] {
@@ -85,9 +85,9 @@ fn put_together(seed: u64) {
     let overlapping = merged.take(&made(2, 7), &finished(&made(2, 7))).unwrap_err();
     assert!(matches!(overlapping, MergeError::Overlapping { .. }), "{overlapping}");
     let (other, folder) = (self::plan(3), root.path().join("other"));
-    let mut part = other.shard_in_folder(Shard::new(2, 2).unwrap(), 0, &folder, false).unwrap();
+    let mut part = other.open_shard_folder(Shard::new(2, 2).unwrap(), 0, &folder, false).unwrap();
     let pilot = part.pilot(&Quiet).unwrap();
     part.repeat(&pilot, &Quiet).unwrap();
     assert!(matches!(merged.take(&folder, &finished(&folder)), Err(MergeError::Foreign { .. })));
-    assert!(plan.shard_in_folder(Shard::new(1, 8).unwrap(), 0, &folder, false).is_err());
+    assert!(plan.open_shard_folder(Shard::new(1, 8).unwrap(), 0, &folder, false).is_err());
 }

@@ -14,35 +14,35 @@ use crumple_core::observer::{Counter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
-pub const MOST_LEVELS: usize = 18;
+pub const MAX_LEVELS: usize = 18;
 /// Populations of pilots, as multiples of that of a repetition: the next one climbs where those before reached no failure. A population that is small
 /// may be led by its levels to where margins are small and nothing fails; one that is larger keeps more ways open.
-pub const PILOTS: [usize; 3] = [1, 2, 4];
+pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
 /// Streams of all pilots but the first; those of repetitions are counted from 1.
-const MORE_PILOTS: u64 = 1 << 41;
+const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
 /// Share of a population that passes a level.
-const SHARE: f64 = 0.2;
+const LEVEL_SHARE: f64 = 0.2;
 /// Moves of each run below each level.
-const MOVES: usize = 4;
+const MOVES_PER_LEVEL: usize = 4;
 /// Share of moves that also draw the noise anew.
-const NEW_NOISE: f64 = 0.25;
+const NEW_NOISE_SHARE: f64 = 0.25;
 /// Acceptance at which a random walk gets on fastest (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
-const BEST_ACCEPTANCE: f64 = 0.44;
+const TARGET_ACCEPTANCE: f64 = 0.44;
 /// How strongly the pilot's step reacts to the acceptance.
-const REACTION: f64 = 1.5;
-const SMALLEST_STEP: f64 = 0.02;
+const STEP_ADAPTATION_RATE: f64 = 1.5;
+const MIN_STEP: f64 = 0.02;
 
 /// Everything that chance decides in a run.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct State {
+pub(super) struct RandomInputs {
     /// Independent standard normal numbers, one a parameter.
     pub normal: Vec<f64>,
     /// Seed of all noise.
-    pub noise: u64,
+    pub noise_seed: u64,
 }
 
 /// Runs with a margin.
-pub(super) trait Problem: Sync {
+pub(super) trait LimitState: Sync {
     /// Why a run cannot be made.
     type Error: From<Stopped> + Send;
 
@@ -59,17 +59,19 @@ pub(super) trait Problem: Sync {
 /// The levels that a pilot has placed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Splitting {
+pub struct SplittingLevels {
     effort: Effort,
     seed: u64,
-    stages: Vec<Stage>,
+    stages: Vec<SplittingStage>,
     /// How many runs the pilots took.
-    pilot: u64,
+    #[serde(rename = "pilot")]
+    pilot_runs: u64,
     /// With how many independent draws they began: where a failure was reached, the first alone.
     pilot_draws: u64,
     /// How many of those failed.
     pilot_failures: u64,
-    reached: bool,
+    #[serde(rename = "reached")]
+    reaches_failure: bool,
     /// What the pilot saw, for want of anything better where it does not reach a failure.
     pilot_levels: Vec<Level>,
 }
@@ -77,13 +79,13 @@ pub struct Splitting {
 /// A level on the way.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Stage {
+pub(super) struct SplittingStage {
     threshold: f64,
     is_last: bool,
     step: f64,
 }
 
-impl Stage {
+impl SplittingStage {
     const LAST: Self = Self { threshold: 0.0, is_last: true, step: 1.0 };
 
     fn passes(&self, margin: f64) -> bool {
@@ -92,10 +94,10 @@ impl Stage {
 }
 
 /// A run and its margin.
-pub(super) type Sample = (State, f64);
+pub(super) type Particle = (State, f64);
 
 /// One population, with a stream of its own.
-pub(super) struct Climber<'a, P: Problem> {
+pub(super) struct ParticlePopulation<'a, P: LimitState> {
     problem: &'a P,
     samples: usize,
     random: Stream,
@@ -108,9 +110,11 @@ pub(super) struct Climber<'a, P: Problem> {
 #[serde(deny_unknown_fields)]
 pub struct Repetition {
     /// How many runs failed of those that it began with.
-    failures: u64,
+    #[serde(rename = "failures")]
+    initial_failures: u64,
     /// At each level that it reached.
-    seen: Vec<Seen>,
+    #[serde(rename = "seen")]
+    levels: Vec<LevelStats>,
     /// Runs made.
     evaluations: u64,
 }
@@ -118,30 +122,30 @@ pub struct Repetition {
 /// What a repetition saw at one level.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Seen {
+struct LevelStats {
     share: f64,
     accepted: u64,
     proposed: u64,
 }
 
-impl Splitting {
+impl SplittingLevels {
     /// Runs the pilot, and larger ones where it reaches no failure.
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn pilot<P: Problem>(
+    pub(super) fn run_pilots<P: LimitState>(
         problem: &P,
         effort: Effort,
         seed: u64,
         counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
-        let mut pilot = Self::of_pilot(problem, effort, seed, 0, counter)?;
+        let mut pilot = Self::run_pilot(problem, effort, seed, 0, counter)?;
         let first = (pilot.pilot_draws, pilot.pilot_failures);
-        for attempt in 1..PILOTS.len() {
+        for attempt in 1..PILOT_FACTORS.len() {
             if pilot.reached {
                 break;
             }
-            let next = Self::of_pilot(problem, effort, seed, attempt, counter)?;
+            let next = Self::run_pilot(problem, effort, seed, attempt, counter)?;
             // Whether there is a next one is not independent of what the draws before came to: with repetitions, those do that there are
             // in any case.
             let (draws, failures) = match next.reached {
@@ -154,7 +158,7 @@ impl Splitting {
     }
 
     /// What one of the pilots comes to.
-    pub(super) fn of_pilot<P: Problem>(
+    pub(super) fn run_pilot<P: LimitState>(
         problem: &P,
         effort: Effort,
         seed: u64,
@@ -162,19 +166,19 @@ impl Splitting {
         counter: &Counter<'_>,
     ) -> Result<Self, P::Error> {
         let effort = effort.at_least();
-        let samples = effort.samples * PILOTS.get(attempt).copied().unwrap_or(1);
-        let own = if attempt == 0 { 0 } else { MORE_PILOTS + attempt as u64 };
-        let mut climber = Climber::new(problem, samples, stream(seed, Purpose::RareEvents, own), counter);
+        let samples = effort.samples * PILOT_FACTORS.get(attempt).copied().unwrap_or(1);
+        let own = if attempt == 0 { 0 } else { LATER_PILOT_STREAM_OFFSET + attempt as u64 };
+        let mut climber = ParticlePopulation::new(problem, samples, stream(seed, Purpose::RareEvents, own), counter);
         let mut population = climber.first()?;
         let (pilot_draws, pilot_failures) = (samples as u64, failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
         let mut pilot =
             Self { effort, seed, stages, pilot: 0, pilot_draws, pilot_failures, reached: false, pilot_levels };
         let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
-        let passing = (SHARE * samples as f64).ceil() as usize;
+        let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
         loop {
             if failures(&population) >= passing as u64 {
-                pilot.stages.push(Stage::LAST);
+                pilot.stages.push(SplittingStage::LAST);
                 pilot.reached = true;
                 break;
             }
@@ -186,23 +190,23 @@ impl Splitting {
             let below = margins.iter().rev().copied().find(|margin| *margin < plateau);
             let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
             if threshold < 0.0 {
-                pilot.stages.push(Stage::LAST);
+                pilot.stages.push(SplittingStage::LAST);
                 pilot.reached = true;
                 break;
             }
-            if pilot.stages.len() == MOST_LEVELS {
+            if pilot.stages.len() == MAX_LEVELS {
                 break;
             }
-            let mut stage = Stage { threshold, is_last: false, step };
-            let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let mut stage = SplittingStage { threshold, is_last: false, step };
+            let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / samples as f64;
             probability *= share;
             population = climber.multiplied(survivors);
             let (mut accepted, mut proposed) = (0, 0);
-            for _ in 0..MOVES {
+            for _ in 0..MOVES_PER_LEVEL {
                 let (taken, tried) = climber.moved(&mut population, &stage)?;
                 let acceptance = taken as f64 / tried.max(1) as f64;
-                stage.step = (stage.step * (REACTION * (acceptance - BEST_ACCEPTANCE)).exp()).clamp(SMALLEST_STEP, 1.0);
+                stage.step = (stage.step * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp()).clamp(MIN_STEP, 1.0);
                 (accepted, proposed) = (accepted + taken, proposed + tried);
             }
             (step, before) = (stage.step, threshold);
@@ -229,8 +233,8 @@ impl Splitting {
 
     /// How many runs the repetitions will make at most.
     #[must_use]
-    pub fn runs_ahead(&self) -> u64 {
-        let moves = MOVES * self.stages.len().saturating_sub(1);
+    pub fn planned_runs(&self) -> u64 {
+        let moves = MOVES_PER_LEVEL * self.stages.len().saturating_sub(1);
         if self.reached { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
@@ -245,12 +249,12 @@ impl Splitting {
     }
 
     /// The levels that repetitions climb, the failure last.
-    pub(super) fn stages(&self) -> &[Stage] {
+    pub(super) fn stages(&self) -> &[SplittingStage] {
         &self.stages
     }
 
     /// What the pilot alone says.
-    pub(super) fn begun(&self) -> Estimate {
+    pub(super) fn pilot_estimate(&self) -> Estimate {
         Estimate {
             evaluations: self.pilot,
             independent_runs: self.pilot_draws,
@@ -264,7 +268,7 @@ impl Splitting {
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn repeat<P: Problem>(
+    pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
         repetitions: Range<u64>,
@@ -273,7 +277,7 @@ impl Splitting {
         let repetitions = if self.reached { repetitions } else { 0..0 };
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
-            let mut climber = Climber::new(problem, self.effort.samples, random, counter);
+            let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
             let mut seen = Vec::with_capacity(self.stages.len());
             let failures = climber.climb(&self.stages, None, |here, _| seen.push(here))?;
             Ok(Repetition { failures, seen, evaluations: climber.evaluations })
@@ -282,16 +286,16 @@ impl Splitting {
     }
 
     /// Whether it was placed by that seed with that effort.
-    pub(super) fn is_of(&self, effort: Effort, seed: u64) -> bool {
+    pub(super) fn is_placed_by(&self, effort: Effort, seed: u64) -> bool {
         self.effort == effort.at_least() && self.seed == seed
     }
 
     /// Whether these repetitions could have come of it.
-    pub(super) fn may_have(&self, repetitions: &[Repetition]) -> bool {
+    pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
         let samples = self.effort.samples as u64;
-        let moves = samples.saturating_mul(MOVES as u64);
+        let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
         let is_share =
-            |seen: &Seen| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves;
+            |seen: &LevelStats| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves;
         let may_be = |one: &Repetition| {
             let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
             let is_short = one.seen.len() <= self.stages.len() && one.failures <= samples;
@@ -310,14 +314,14 @@ impl Splitting {
             return self.begun();
         }
         let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot, u64::saturating_add);
-        let seen: Vec<Vec<Seen>> = repeated.into_iter().map(|one| one.seen).collect();
+        let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.seen).collect();
         // A repetition that died out before the last level has seen no failure.
-        let product = |seen: &Vec<Seen>, levels: usize| -> f64 {
+        let product = |seen: &Vec<LevelStats>, levels: usize| -> f64 {
             if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
         };
         let levels = self.stages.iter().enumerate().map(|(index, stage)| {
-            let here: Vec<&Seen> = seen.iter().filter_map(|seen| seen.get(index)).collect();
-            let sum = |of: fn(&&Seen) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
+            let here: Vec<&LevelStats> = seen.iter().filter_map(|seen| seen.get(index)).collect();
+            let sum = |of: fn(&&LevelStats) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
             let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
@@ -331,13 +335,13 @@ impl Splitting {
         let levels: Vec<Level> = levels.collect();
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
         let begun = Estimate { evaluations, independent_runs, independent_failures, levels, ..Estimate::none() };
-        begun.of_repetitions(repetitions)
+        begun.with_repetitions(repetitions)
     }
 }
 
 impl Estimate {
     /// Of nothing.
-    pub(super) fn none() -> Self {
+    pub(super) fn empty() -> Self {
         Self {
             probability: None,
             coefficient_of_variation: None,
@@ -352,7 +356,7 @@ impl Estimate {
     }
 
     /// With what independent repetitions say: their mean, and their spread. A mean of weights may be above 1, which no probability is.
-    pub(super) fn of_repetitions(self, repetitions: Vec<f64>) -> Self {
+    pub(super) fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
         let mean = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, mean);
         let estimate = Self { probability: Some(mean.min(1.0)), coefficient_of_variation, repetitions, ..self };
@@ -379,7 +383,7 @@ impl Estimate {
 
     /// Failures and runs of the repetitions where the first level is the failure itself: nothing is split then, and runs are counted. The
     /// spread of repetitions that all fail throughout is nothing, and so says nothing.
-    fn counted(&self) -> Option<(u64, u64)> {
+    fn counted_failures(&self) -> Option<(u64, u64)> {
         let repetitions = self.repetitions.len() as u64;
         let each = self.independent_runs / (1 + repetitions);
         let is_counted = self.levels.len() == 1 && self.largest_weight.is_none() && each > 0 && repetitions > 0;
@@ -391,7 +395,7 @@ impl Estimate {
 
     /// An interval from the independent draws alone, which no level helped: Clopper's and Pearson's; none of an estimate that does not know them.
     #[must_use]
-    pub fn independent(&self, confidence: f64) -> Option<[f64; 2]> {
+    pub fn independent_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (failures, runs) = (self.independent_failures, self.independent_runs);
         let RateInterval { lower, upper } = (runs > 0).then(|| RateInterval::exact(failures, runs, confidence))?;
         Some([lower, upper])
@@ -399,11 +403,11 @@ impl Estimate {
 }
 
 /// How many of a population fail.
-fn failures(population: &[Sample]) -> u64 {
+fn count_failures(population: &[Particle]) -> u64 {
     population.iter().filter(|(_, margin)| *margin < 0.0).count() as u64
 }
 
-impl<'a, P: Problem> Climber<'a, P> {
+impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     pub(super) fn new(problem: &'a P, samples: usize, random: Stream, counter: &'a Counter<'a>) -> Self {
         Self { problem, samples, random, evaluations: 0, counter }
     }
@@ -412,22 +416,22 @@ impl<'a, P: Problem> Climber<'a, P> {
     /// who is below it. Below the last one runs are moved on only with a `last_step`.
     fn climb(
         &mut self,
-        stages: &[Stage],
+        stages: &[SplittingStage],
         last_step: Option<f64>,
-        mut told: impl FnMut(Seen, &[Sample]),
+        mut told: impl FnMut(LevelStats, &[Particle]),
     ) -> Result<u64, P::Error> {
         let mut population = self.first()?;
         let failures = failures(&population);
         for stage in stages {
-            let survivors: Vec<Sample> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
+            let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
-            let mut here = Seen { share, accepted: 0, proposed: 0 };
+            let mut here = LevelStats { share, accepted: 0, proposed: 0 };
             population = self.multiplied(survivors);
             let step = if stage.is_last { last_step } else { Some(stage.step) };
             if let Some(step) = step.filter(|_| !population.is_empty()) {
-                for _ in 0..MOVES {
-                    let (accepted, proposed) = self.moved(&mut population, &Stage { step, ..*stage })?;
-                    here = Seen { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
+                for _ in 0..MOVES_PER_LEVEL {
+                    let (accepted, proposed) = self.moved(&mut population, &SplittingStage { step, ..*stage })?;
+                    here = LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
             told(here, &population);
@@ -439,7 +443,7 @@ impl<'a, P: Problem> Climber<'a, P> {
     }
 
     /// Who is below each level, spread out, failures last; fewer levels where a population dies out.
-    pub(super) fn populations(&mut self, stages: &[Stage]) -> Result<Vec<Vec<Sample>>, P::Error> {
+    pub(super) fn level_populations(&mut self, stages: &[SplittingStage]) -> Result<Vec<Vec<Particle>>, P::Error> {
         // The step of the level before leads to where chances are as good.
         let last_step = stages.iter().rev().find(|stage| !stage.is_last).map_or(1.0, |before| before.step);
         let mut all = Vec::with_capacity(stages.len());
@@ -448,7 +452,7 @@ impl<'a, P: Problem> Climber<'a, P> {
     }
 
     /// Independent draws.
-    fn first(&mut self) -> Result<Vec<Sample>, P::Error> {
+    fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
         self.drawn(|dimension, random| State {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
             noise: new_noise(random),
@@ -456,7 +460,7 @@ impl<'a, P: Problem> Climber<'a, P> {
     }
 
     /// A population by any law.
-    pub(super) fn drawn(&mut self, draw: impl Fn(usize, &mut Stream) -> State) -> Result<Vec<Sample>, P::Error> {
+    pub(super) fn sample_with(&mut self, draw: impl Fn(usize, &mut Stream) -> State) -> Result<Vec<Particle>, P::Error> {
         let dimension = self.problem.dimension();
         let states: Vec<State> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
         let margins = self.margins(&states)?;
@@ -465,7 +469,7 @@ impl<'a, P: Problem> Climber<'a, P> {
 
     /// Copies survivors until they are as many as at the start, each as often as any other; which of them are copied once
     /// more is drawn by lot.
-    fn multiplied(&mut self, mut survivors: Vec<Sample>) -> Vec<Sample> {
+    fn resample(&mut self, mut survivors: Vec<Particle>) -> Vec<Particle> {
         let alive = survivors.len();
         if alive == 0 {
             return survivors;
@@ -480,11 +484,11 @@ impl<'a, P: Problem> Climber<'a, P> {
 
     /// One move of every run: what would leave the level is not done. Says how many moves that kept the noise were
     /// accepted, and how many there were.
-    fn moved(&mut self, population: &mut [Sample], stage: &Stage) -> Result<(u64, u64), P::Error> {
+    fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
         // An autoregressive step keeps normal numbers normal (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
-        let propose = |(state, _): &Sample, random: &mut Stream| {
-            let noise = if random.random::<f64>() < NEW_NOISE { new_noise(random) } else { state.noise };
+        let propose = |(state, _): &Particle, random: &mut Stream| {
+            let noise = if random.random::<f64>() < NEW_NOISE_SHARE { new_noise(random) } else { state.noise };
             let mut normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn
@@ -507,7 +511,7 @@ impl<'a, P: Problem> Climber<'a, P> {
         Ok((accepted, proposed))
     }
 
-    fn margins(&mut self, states: &[State]) -> Result<Vec<f64>, P::Error> {
+    fn evaluate_margins(&mut self, states: &[State]) -> Result<Vec<f64>, P::Error> {
         let mut margins = self.problem.margins(states)?;
         margins.iter_mut().filter(|margin| margin.is_nan()).for_each(|margin| *margin = f64::INFINITY);
         self.evaluations += states.len() as u64;
@@ -517,7 +521,7 @@ impl<'a, P: Problem> Climber<'a, P> {
 }
 
 /// A seed that a scenario file can hold.
-pub(super) fn new_noise(random: &mut Stream) -> u64 {
+pub(super) fn new_noise_seed(random: &mut Stream) -> u64 {
     random.random::<u64>() >> 1
 }
 
@@ -533,7 +537,7 @@ fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
 }
 
 /// Products of many shares are nearly log-normal, and so is their mean.
-pub(super) fn interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
+pub(super) fn lognormal_interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
     let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
     Some([mean / factor, (mean * factor).min(1.0)])

@@ -18,12 +18,12 @@ use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
 /// A limit state with a closed form.
-struct Known {
+struct ClosedFormLimitState {
     dimension: usize,
     margin: fn(&State) -> f64,
 }
 
-impl Problem for Known {
+impl Problem for ClosedFormLimitState {
     type Error = Stopped;
 
     fn dimension(&self) -> usize {
@@ -39,11 +39,11 @@ fn counter() -> Counter<'static> {
     Counter::new(&Quiet, None)
 }
 
-fn estimate(problem: &Known, seed: u64) -> Estimate {
+fn estimate(problem: &ClosedFormLimitState, seed: u64) -> Estimate {
     estimate_by(RareMethod::Splitting, problem, seed)
 }
 
-fn estimate_by(method: RareMethod, problem: &Known, seed: u64) -> Estimate {
+fn estimate_by(method: RareMethod, problem: &ClosedFormLimitState, seed: u64) -> Estimate {
     let pilot = Pilot::run(problem, method, Effort::default(), seed, &counter()).unwrap();
     pilot.estimate(problem, &counter()).unwrap()
 }
@@ -85,7 +85,7 @@ fn frequent(state: &State) -> f64 {
 }
 
 /// What comes of a problem with so many seeds: mean over the truth, how many intervals hold it, and most runs.
-fn found(method: RareMethod, (name, problem, truth): &(&str, Known, f64), seeds: u64) -> (Vec<f64>, usize, u64) {
+fn evaluate_method(method: RareMethod, (name, problem, truth): &(&str, ClosedFormLimitState, f64), seeds: u64) -> (Vec<f64>, usize, u64) {
     let found: Vec<Estimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
     let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
     let held = found.iter().filter(|one| {
@@ -101,12 +101,12 @@ fn found(method: RareMethod, (name, problem, truth): &(&str, Known, f64), seeds:
     (ratios, held, most)
 }
 
-fn known() -> [(&'static str, Known, f64); 4] {
+fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
     [
-        ("linear", Known { dimension: 10, margin: linear }, upper_tail(5.0)),
-        ("sphere", Known { dimension: 6, margin: sphere }, 1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0)),
-        ("either side", Known { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
-        ("noisy", Known { dimension: 2, margin: noisy }, upper_tail(4.9)),
+        ("linear", ClosedFormLimitState { dimension: 10, margin: linear }, upper_tail(5.0)),
+        ("sphere", ClosedFormLimitState { dimension: 6, margin: sphere }, 1.0 - ChiSquared::new(6.0).unwrap().cdf(45.0)),
+        ("either side", ClosedFormLimitState { dimension: 3, margin: either_side }, 2.0 * upper_tail(5.0)),
+        ("noisy", ClosedFormLimitState { dimension: 2, margin: noisy }, upper_tail(4.9)),
     ]
 }
 
@@ -138,9 +138,9 @@ mod tier_2 {
     fn known_probabilities_are_found_by_weighted_draws() {
         const SEEDS: u64 = 24;
         let more = [
-            ("corner", Known { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
-            ("thirty numbers", Known { dimension: 30, margin: linear }, upper_tail(5.0)),
-            ("frequent", Known { dimension: 5, margin: frequent }, 0.01),
+            ("corner", ClosedFormLimitState { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
+            ("thirty numbers", ClosedFormLimitState { dimension: 30, margin: linear }, upper_tail(5.0)),
+            ("frequent", ClosedFormLimitState { dimension: 5, margin: frequent }, 0.01),
         ];
         for problem in known().into_iter().chain(more) {
             let (ratios, held, most) = found(RareMethod::Importance, &problem, SEEDS);
@@ -159,7 +159,7 @@ mod tier_2 {
     #[ignore = "tier 2: 400 estimates"]
     fn where_noise_decides_weighted_draws_have_intervals_that_are_too_narrow() {
         const SEEDS: u64 = 400;
-        let (problem, truth) = (Known { dimension: 2, margin: noisy }, upper_tail(4.9));
+        let (problem, truth) = (ClosedFormLimitState { dimension: 2, margin: noisy }, upper_tail(4.9));
         let (mut held, mut light, mut light_held, mut sum) = (0, 0, 0, 0.0);
         for seed in 0..SEEDS {
             let found = estimate_by(RareMethod::Importance, &problem, seed);
@@ -181,9 +181,9 @@ mod tier_2 {
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
     let problems = [
-        (Known { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) }, 0.5),
-        (Known { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) }, 1.3),
-        (Known { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) }, 1.8),
+        (ClosedFormLimitState { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) }, 0.5),
+        (ClosedFormLimitState { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) }, 1.3),
+        (ClosedFormLimitState { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) }, 1.8),
     ];
     for (problem, at) in problems {
         let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
@@ -203,7 +203,7 @@ fn no_probability_is_above_one() {
     let nearly_always = |state: &State| -3.0 - state.normal.first().copied().unwrap_or(0.0);
     let mut above = 0;
     for seed in 0..12 {
-        let found = estimate_by(RareMethod::Importance, &Known { dimension: 3, margin: nearly_always }, seed);
+        let found = estimate_by(RareMethod::Importance, &ClosedFormLimitState { dimension: 3, margin: nearly_always }, seed);
         let raw = found.repetitions.iter().sum::<f64>() / found.repetitions.len() as f64;
         above += usize::from(raw > 1.0);
         assert_eq!(found.probability, Some(raw.min(1.0)));
@@ -218,7 +218,7 @@ fn no_probability_is_above_one() {
 
 #[test]
 fn the_number_of_threads_changes_nothing_and_the_seed_does() {
-    let problem = Known { dimension: 4, margin: linear };
+    let problem = ClosedFormLimitState { dimension: 4, margin: linear };
     let with = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| estimate(&problem, 3))
     };
@@ -228,7 +228,7 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
 
 #[test]
 fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
-    let found = estimate(&Known { dimension: 4, margin: linear }, 1);
+    let found = estimate(&ClosedFormLimitState { dimension: 4, margin: linear }, 1);
     let last = found.levels.last().unwrap();
     assert_eq!((last.margin, Some(last.probability)), (0.0, found.probability));
     for pair in found.levels.windows(2) {
@@ -247,11 +247,11 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
         let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
         valley.min(if way < 0.0 { way } else { way + 1.0 })
     };
-    let (problem, truth) = (Known { dimension: 2, margin: astray }, upper_tail(3.1));
+    let (problem, truth) = (ClosedFormLimitState { dimension: 2, margin: astray }, upper_tail(3.1));
     let effort = Effort { samples: 100, repetitions: 10 };
     let (mut found, mut again) = (Vec::new(), 0);
     for seed in 0..200 {
-        let first = Splitting::of_pilot(&problem, effort, seed, 0, &counter()).unwrap();
+        let first = Splitting::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
         again += usize::from(!first.reaches_failure());
         let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
@@ -262,7 +262,7 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     println!("{again} went on, mean {mean:.3}");
     assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
     let never =
-        Pilot::run(&Known { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &counter()).unwrap();
+        Pilot::run(&ClosedFormLimitState { dimension: 2, margin: |_| 1.0 }, RareMethod::Splitting, effort, 0, &counter()).unwrap();
     let nothing = never.estimate(&problem, &counter()).unwrap();
     assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
 }
@@ -271,11 +271,11 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
 fn what_cannot_fail_is_not_given_a_probability() {
     let never = [|state: &State| 1.0 + state.normal.iter().sum::<f64>().exp(), |_: &State| 1.0, |_: &State| f64::NAN];
     for margin in never {
-        let found = estimate(&Known { dimension: 2, margin }, 0);
+        let found = estimate(&ClosedFormLimitState { dimension: 2, margin }, 0);
         assert_eq!((found.probability, found.interval_95), (None, None));
         assert!(found.levels.iter().all(|level| level.margin > 0.0));
     }
-    let always = estimate(&Known { dimension: 2, margin: |_| -1.0 }, 0);
+    let always = estimate(&ClosedFormLimitState { dimension: 2, margin: |_| -1.0 }, 0);
     assert_eq!((always.probability, always.coefficient_of_variation), (Some(1.0), Some(0.0)));
 }
 
@@ -291,7 +291,7 @@ fn splitting_agrees_with_counting_on_the_road() {
             .unwrap();
     let mut tally = count.tally();
     while tally.runs < COUNTED {
-        count.count_block(&mut tally).unwrap();
+        count.count_batch(&mut tally).unwrap();
     }
     let counted = tally.failures as f64 / COUNTED as f64;
     let plan = RarePlan {

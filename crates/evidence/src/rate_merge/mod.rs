@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::exposed::{ExposedRate, OtherResamples, Probability, PutTogether, run_again};
+use super::exposure::{ExposedRate, ResampleCountMismatch, FailureProbability, MergedResamples, run_again};
 use super::rate_folder::RateFolderError;
 use super::rate_shard::ShardedCount;
 use super::record::{CountRecord, Tally, length};
@@ -38,7 +38,7 @@ impl DerefMut for MergedCount {
 
 /// What shards come to, all of them or not.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SoFar {
+pub struct PartialCount {
     /// Digest of the registration.
     pub registration_sha256: String,
     /// Runs that were registered.
@@ -60,7 +60,8 @@ pub struct SoFar {
     /// The shards that are missing, where all are of the same number.
     pub missing_shards: Vec<u32>,
     /// Of how many; none where shards are of several numbers.
-    pub of_shards: Option<u32>,
+    #[serde(rename = "of_shards")]
+    pub shard_count: Option<u32>,
     /// Of one controller: the bound that holds at the registered confidence whatever the missing runs come to, for it takes all of them
     /// as failures.
     pub rate_at_most: Option<f64>,
@@ -71,7 +72,7 @@ impl MergedCount {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         Merged::of(folder, found).map(Self)
     }
 
@@ -89,7 +90,7 @@ impl MergedCount {
 
     /// What the shards come to.
     #[must_use]
-    pub fn so_far(&self) -> SoFar {
+    pub fn partial_count(&self) -> SoFar {
         let sum = |of: fn(&Tally) -> u64| self.parts().contents().map(of).sum::<u64>();
         let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record().runs_of(blocks)).collect();
         let MissingShards { of_shards, missing_shards } = self.parts().missing_shards();
@@ -134,19 +135,19 @@ impl MergedCount {
     ///
     /// # Errors
     /// [`MergeError`] if the new runs in resamples are not those of the space.
-    pub fn exposed(&self) -> Result<Option<ExposedRate>, MergeError> {
+    pub fn rate_per_exposure(&self) -> Result<Option<ExposedRate>, MergeError> {
         let (Some(tally), Some(resampling)) = (self.tally(), self.work().resampling) else { return Ok(None) };
         let unusable = |problem: String| self.parts().unusable(SHARD, problem);
         let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
-        let mut kept = PutTogether::of(self.parts().contents().flat_map(|part| &part.resampled).copied().collect());
+        let mut kept = MergedResamples::of(self.parts().contents().flat_map(|part| &part.resampled).copied().collect());
         let resamples = run_again(&space, seed, resampling.0, resampling.1, &mut |_: &Space, _, _| kept.next());
         let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
         let resamples =
-            resamples.map_err(|OtherResamples| unusable("not as many resamples as that space has".to_owned()))?;
-        let known = Probability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
+            resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
+        let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(ExposedRate::of(&space, known, resamples.as_ref()))
     }
 

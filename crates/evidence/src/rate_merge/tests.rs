@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::{RateConfig, RatePlan, SHARD_OF_A_COUNT};
+use crate::{RateConfig, RatePlan, COUNT_SHARD_KIND};
 use crumple_core::observer::Quiet;
 use crumple_store::shard::Shard;
 use crumple_store::work::{Finished, Found, find};
@@ -20,7 +20,7 @@ fn plan(seed: u64) -> RatePlan {
     plan_of("idm", None, seed)
 }
 
-fn plan_of(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
+fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
     let named = |name: &str| ControllerSpec::named(name).unwrap().into();
     RatePlan::new(RateConfig {
         controller: named(controller),
@@ -35,14 +35,14 @@ fn plan_of(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
     .unwrap()
 }
 
-fn finished(folder: &Path) -> Finished {
+fn read_completed(folder: &Path) -> Finished {
     match find(folder).unwrap() {
         Found::Finished(finished) => finished,
         other => panic!("{other:?}"),
     }
 }
 
-fn taken(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
+fn add_shard(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
     let found = finished(folder);
     match merged {
         Some(merged) => merged.take(folder, &found),
@@ -53,7 +53,7 @@ fn taken(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeErr
     }
 }
 
-fn whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
+fn count_whole(plan: &RatePlan) -> (tempfile::TempDir, Tally) {
     let folder = tempfile::tempdir().unwrap();
     let mut count = plan.register_in(folder.path(), false).unwrap();
     count.certificate(&Quiet).unwrap();
@@ -69,7 +69,7 @@ struct Shards<'a> {
 }
 
 impl<'a> Shards<'a> {
-    fn of(plan: &'a RatePlan) -> Self {
+    fn new(plan: &'a RatePlan) -> Self {
         Self { plan, root: tempfile::tempdir().unwrap(), counted: HashMap::new() }
     }
 
@@ -88,7 +88,7 @@ fn shard(index: u32, of: u32) -> Shard {
 }
 
 /// A random division, some shards of which come twice and some not at all; at times some of another division beside them.
-fn drawn(random: &mut impl Rng) -> Vec<Shard> {
+fn random_shards(random: &mut impl Rng) -> Vec<Shard> {
     let of = random.random_range(1..=24);
     let keep = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.3..1.0) };
     let mut shards: Vec<Shard> = (1..=of).map(|index| shard(index, of)).filter(|_| random.random_bool(keep)).collect();
@@ -114,7 +114,7 @@ fn two_hundred_random_splits_come_to_the_single_run_or_say_what_is_missing() {
         let (mut merged, mut owners, mut duplicates) = (None, vec![None; 24], 0);
         for shard in drawn(&mut random) {
             let taken = taken(&mut merged, &shards.folder(shard));
-            let blocks = plan.blocks_of(shard).unwrap();
+            let blocks = plan.shard_blocks(shard).unwrap();
             let own = &mut owners[blocks.start as usize..blocks.end as usize];
             if own.iter().all(|owner| *owner == Some(shard)) {
                 duplicates += 1;
@@ -164,7 +164,7 @@ fn a_comparison_is_put_together_and_a_shard_that_was_interrupted_goes_on() {
     let folder = shards.root.path().join("2-of-2");
     let half = tempfile::tempdir().unwrap();
     plan.register_shard_in(shard(2, 2), half.path(), false).unwrap();
-    assert!(matches!(find(half.path()).unwrap(), Found::HalfDone(kind) if kind == SHARD_OF_A_COUNT));
+    assert!(matches!(find(half.path()).unwrap(), Found::HalfDone(kind) if kind == COUNT_SHARD_KIND));
     plan.register_shard_in(shard(2, 2), half.path(), true).unwrap().count(&Quiet).unwrap();
     let mut merged = None;
     taken(&mut merged, half.path()).unwrap();

@@ -3,20 +3,20 @@
 use std::collections::HashMap;
 
 use crumple_report::draw::{
-    Anchor, Axis, BELOW, CellLook, Frame, HEADING, Ink, KeyEntry, LEFT, Marker, Panel, SMALL, Stroke, Svg, cells,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, Frame, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, cells,
     extent, key, mark, padded, signed, text_width, words,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
 
 use super::Shown;
-use super::cells::{Cell, Map, Side};
+use super::grid::{Cell, Map, Side};
 
 /// Width of a figure where there is room, and where there is not.
 const WIDTHS: [f64; 2] = [720.0, 380.0];
 const HEIGHT: f64 = 240.0;
 /// Height of a cell of a map.
-const CELL: f64 = 30.0;
+const CELL_HEIGHT: f64 = 30.0;
 
 fn width(narrow: bool) -> f64 {
     let [wide, small] = WIDTHS;
@@ -24,7 +24,7 @@ fn width(narrow: bool) -> f64 {
 }
 
 /// The smallest robustness so far over the evaluations of each method.
-pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
+pub(super) fn best_robustness_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
     let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for one in shown {
         for method in one.look.methods() {
@@ -40,18 +40,18 @@ pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
         (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
     let x = Axis::marked("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
     let y = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
-    let frame = Frame { left: LEFT + 12.0, top: HEADING, width: width(narrow) - LEFT - 24.0, height: HEIGHT };
+    let frame = Frame { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
     let title = "Best robustness (below 0 a failure)";
     let mut panel = Panel::new(frame, title, x, y);
-    panel.rule_y(0.0, Stroke::solid(Ink::Alert, 1.0));
+    panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
     let mut entries = Vec::new();
     for (index, (name, line)) in lines.iter().enumerate() {
         let line: Vec<(f64, f64)> = line.iter().map(|(x, y)| (x.log10(), *y)).collect();
         panel.line(&line, Stroke::series(index));
-        entries.push(KeyEntry::Line(Stroke::series(index), name));
+        entries.push(LegendEntry::Line(Stroke::series(index), name));
     }
     let (key, key_height) = key(&entries, width(narrow) - 12.0);
-    let top = frame.bottom() + BELOW + 6.0;
+    let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {
         (panel.draw(&Svg::id("best", "frame")))
         g transform={ "translate(12 " (top) ")" } { (key) }
@@ -62,7 +62,7 @@ pub(super) fn best(shown: &[Shown<'_>], narrow: bool) -> Markup {
 }
 
 /// Where the smallest robustness of a method falls, and where it is in the end.
-fn falling(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
+fn best_so_far(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let (mut least, mut last) = (f64::INFINITY, 0);
     for (_, evaluated) in one.look.evaluations().iter().filter(|(method, _)| method == wanted) {
@@ -83,7 +83,7 @@ fn falling(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
 }
 
 /// Severity against likelihood.
-pub(super) fn front(shown: &[Shown<'_>], narrow: bool) -> Markup {
+pub(super) fn pareto_front_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
     let fronts: Vec<_> = shown.iter().map(|one| (one, one.look.front())).collect();
     let points = || fronts.iter().flat_map(|(_, front)| front);
     if points().next().is_none() {
@@ -91,7 +91,7 @@ pub(super) fn front(shown: &[Shown<'_>], narrow: bool) -> Markup {
     }
     let x = Axis::numbers("ln likelihood", padded(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
     let y = Axis::numbers("", padded(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
-    let frame = Frame { left: LEFT + 12.0, top: HEADING, width: width(narrow) - LEFT - 24.0, height: HEIGHT };
+    let frame = Frame { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
     let title = "Robustness of failures that no other beats in severity and likelihood";
     let mut panel = Panel::new(frame, if narrow { "The front: robustness" } else { title }, x, y);
     let markers = [Marker::Disc, Marker::Square];
@@ -124,10 +124,10 @@ pub(super) fn front(shown: &[Shown<'_>], narrow: bool) -> Markup {
         }
     }
     let names: Vec<String> = shown.iter().map(|one| one.name.to_owned()).collect();
-    let entries: Vec<KeyEntry<'_>> =
-        names.iter().zip(markers).map(|(name, marker)| KeyEntry::Mark(marker, name)).collect();
+    let entries: Vec<LegendEntry<'_>> =
+        names.iter().zip(markers).map(|(name, marker)| LegendEntry::Mark(marker, name)).collect();
     let (key, key_height) = key(&entries, width(narrow) - 12.0);
-    let top = frame.bottom() + BELOW + 6.0;
+    let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {
         (panel.draw(&Svg::id("front", "frame")))
         g transform={ "translate(12 " (top) ")" } { (key) }
@@ -138,20 +138,20 @@ pub(super) fn front(shown: &[Shown<'_>], narrow: bool) -> Markup {
 }
 
 /// What was tried in each cell, and what failed.
-pub(super) fn map(shown: &Shown<'_>, map: &Map, narrow: bool) -> Markup {
-    let widest = map.up.cells.iter().map(|(from, _)| text_width(from, SMALL)).fold(0.0, f64::max);
+pub(super) fn failure_grid_figure(shown: &Shown<'_>, map: &Map, narrow: bool) -> Markup {
+    let widest = map.up.cells.iter().map(|(from, _)| text_width(from, SMALL_TEXT_SIZE)).fold(0.0, f64::max);
     let (columns, rows) = (map.across.cells.len(), map.up.cells.len());
     let left = widest + 16.0;
-    let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL);
-    let frame = Frame { left, top: HEADING + 4.0, width: wide * columns as f64, height: CELL * rows as f64 };
+    let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL_HEIGHT);
+    let frame = Frame { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
     let cell_frame = |index: usize| {
         let (row, column) = (index / columns, index % columns);
         // The smallest value below.
         Frame {
             left: left + column as f64 * wide,
-            top: frame.bottom() - (row + 1) as f64 * CELL,
+            top: frame.bottom() - (row + 1) as f64 * CELL_HEIGHT,
             width: wide,
-            height: CELL,
+            height: CELL_HEIGHT,
         }
     };
     let of = |wanted: fn(&Cell) -> bool| {
@@ -160,25 +160,25 @@ pub(super) fn map(shown: &Shown<'_>, map: &Map, narrow: bool) -> Markup {
     let prefix = format!("map-{}", shown.index);
     let title = format!("{} over {}", map.up.title(), map.across.title());
     let content = html! {
-        (words((4.0, 15.0), Anchor::Start, shown.name, SMALL + 1.0, Ink::Text, false))
-        (words((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.up.title()), SMALL, Ink::Muted, false))
-        (cells(CellLook::Blank, of(|cell| cell.tried > 0 && cell.failing == 0)))
-        (cells(CellLook::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.tried)))
+        (words((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
+        (words((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.up.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        (cells(CellStyle::Blank, of(|cell| cell.tried > 0 && cell.failing == 0)))
+        (cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.tried)))
         @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.tried) {
             @let Frame { left, top, width, height } = cell_frame(index);
             rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex()) fill-opacity="0.5" {}
-            (words((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL, Ink::Text, false))
+            (words((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
         }
         rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none" stroke=(Ink::Axis.hex()) {}
         @for (index, (from, _)) in map.up.cells.iter().enumerate() {
-            @let y = frame.bottom() - (index as f64 + if map.up.is_named { 0.5 } else { 0.0 }) * CELL + 4.0;
-            (words((left - 5.0, y), Anchor::End, from, SMALL, Ink::Text, false))
+            @let y = frame.bottom() - (index as f64 + if map.up.is_named { 0.5 } else { 0.0 }) * CELL_HEIGHT + 4.0;
+            (words((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
         @for (index, (from, _)) in map.across.cells.iter().enumerate().filter(|(index, _)| map.across.is_named || index % 3 == 0) {
             @let x = frame.left + (index as f64 + if map.across.is_named { 0.5 } else { 0.0 }) * wide;
-            (words((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL, Ink::Text, false))
+            (words((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        (words((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.across.title()), SMALL, Ink::Muted, false))
+        (words((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.across.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
         @for (index, cell) in map.cells.iter().enumerate() {
             @if let Some((worst, robustness)) = cell.worst {
                 @let Frame { left, top, width, height } = cell_frame(index);

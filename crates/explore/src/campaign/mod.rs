@@ -1,6 +1,6 @@
 //! Campaigns as the page shows them, while they run and afterwards.
 
-mod cells;
+mod grid;
 mod figures;
 
 use std::collections::BTreeMap;
@@ -9,26 +9,26 @@ use std::time::{Duration, Instant};
 
 use crumple_core::quoted::{Lines, Terminal};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{CampaignError, Evaluated, Look, MOST_SHOWN};
+use crumple_search::falsify::campaign::{CampaignError, Evaluated, CampaignReader, MOST_SHOWN};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use crate::refused::Refused;
-use cells::Map;
+use crate::error::Refused;
+use grid::Map;
 
 /// Failures that are listed.
-const MOST_LISTED: usize = 40;
+const MAX_LISTED: usize = 40;
 /// How long a request reads on, before it shows what there is.
-const READING: Duration = Duration::from_millis(150);
+const POLL_TIME: Duration = Duration::from_millis(150);
 /// Evaluations that are read at once.
-const AT_ONCE: usize = 2_000;
+const BATCH_SIZE: usize = 2_000;
 
 /// A campaign, and what it is called in a list.
 #[derive(Debug)]
-pub(crate) struct OfferedCampaign {
+pub(crate) struct CatalogCampaign {
     pub(crate) name: String,
-    look: Mutex<Look>,
+    reader: Mutex<CampaignReader>,
 }
 
 /// What the page wants to see.
@@ -56,12 +56,13 @@ pub(crate) struct CampaignRequest {
 
 /// What it sees.
 #[derive(Debug, Serialize)]
-pub(crate) struct Seen {
+pub(crate) struct CampaignResponse {
     /// Whether more may come.
     running: bool,
     /// Whether more is there already.
     loading: bool,
-    words: Vec<String>,
+    #[serde(rename = "words")]
+    summaries: Vec<String>,
     coordinates: Vec<String>,
     across: String,
     up: String,
@@ -75,25 +76,25 @@ pub(crate) struct Seen {
 }
 
 /// A campaign as it is drawn.
-pub(crate) struct Shown<'a> {
+pub(crate) struct CampaignView<'a> {
     pub(crate) index: usize,
     pub(crate) name: &'a str,
-    pub(crate) look: &'a Look,
+    pub(crate) reader: &'a CampaignReader,
 }
 
-impl OfferedCampaign {
-    pub(crate) fn new(name: String, look: Look) -> Self {
+impl CatalogCampaign {
+    pub(crate) fn new(name: String, look: CampaignReader) -> Self {
         Self { name, look: Mutex::new(look) }
     }
 
     /// What is known of it. A reader that panicked has left it as it was.
-    pub(crate) fn look(&self) -> MutexGuard<'_, Look> {
+    pub(crate) fn lock_reader(&self) -> MutexGuard<'_, CampaignReader> {
         self.look.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reads on for a moment. Returns whether more is there.
-    pub(crate) fn read_on(&self) -> Result<bool, Refused> {
-        let (mut look, until) = (self.look(), Instant::now() + READING);
+    pub(crate) fn poll(&self) -> Result<bool, Refused> {
+        let (mut look, until) = (self.look(), Instant::now() + POLL_TIME);
         loop {
             let is_more = look.go_on(AT_ONCE).map_err(failed)?;
             if !is_more || Instant::now() >= until {
@@ -104,12 +105,12 @@ impl OfferedCampaign {
 }
 
 /// What cannot be read of a campaign.
-pub(crate) fn failed(error: CampaignError) -> Refused {
+pub(crate) fn campaign_error(error: CampaignError) -> Refused {
     Refused::Failed(Terminal(&error.to_string()).to_string())
 }
 
 /// Looks at one campaign, or at two beside each other.
-pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Result<Seen, Refused> {
+pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampaign]) -> Result<CampaignResponse, Refused> {
     let of = |field: &str, index: usize| {
         offered.get(index).ok_or_else(|| Refused::invalid(field, format!("{} campaigns were offered", offered.len())))
     };
@@ -117,9 +118,9 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
     // One beside itself would wait for itself.
     let against = request.against.filter(|index| *index != request.campaign);
     let other = against.map(|index| of("against", index)).transpose()?;
-    let mut loading = one.read_on()?;
+    let mut loading = one.poll()?;
     if let Some(other) = other {
-        loading |= other.read_on()?;
+        loading |= other.poll()?;
     }
     // In one order, whoever asks for which beside which.
     let (first, second) = match other {
@@ -127,13 +128,13 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
             let other = other.look();
             (one.look(), Some(other))
         }
-        other => (one.look(), other.map(OfferedCampaign::look)),
+        other => (one.look(), other.map(CatalogCampaign::look)),
     };
-    let mut shown = vec![Shown { index: request.campaign, name: &one.name, look: &first }];
+    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, look: &first }];
     if let (Some(look), Some(index), Some(other)) = (&second, against, other) {
-        shown.push(Shown { index, name: &other.name, look });
+        shown.push(CampaignView { index, name: &other.name, look });
     }
-    let look: &Look = &first;
+    let look: &CampaignReader = &first;
     let coordinates = look.space().coordinate_names();
     let place = |field: &str, name: &Option<String>, otherwise: usize| match name {
         None => Ok(otherwise.min(coordinates.len().saturating_sub(1))),
@@ -144,7 +145,7 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
     };
     let (across, up) = (place("across", &request.across, 0)?, place("up", &request.up, 1)?);
     let kinds = kinds(look);
-    let chosen = Chosen { method: request.method.as_deref(), kind: request.kind.as_deref() };
+    let chosen = EvaluationFilter { method: request.method.as_deref(), kind: request.kind.as_deref() };
     let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
         div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
@@ -156,7 +157,7 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
             }
         }
     };
-    Ok(Seen {
+    Ok(CampaignResponse {
         running: shown.iter().any(|one| one.look.summary().is_none()),
         loading,
         words: shown.iter().map(words).collect(),
@@ -174,19 +175,19 @@ pub(crate) fn seen(request: &CampaignRequest, offered: &[OfferedCampaign]) -> Re
 }
 
 /// Markup, in which names turn the direction of nothing.
-fn plain(markup: Markup) -> String {
+fn escape_markup(markup: Markup) -> String {
     Lines(&markup.into_string()).to_string()
 }
 
 /// What is looked at.
-pub(crate) struct Chosen<'a> {
+pub(crate) struct EvaluationFilter<'a> {
     method: Option<&'a str>,
     kind: Option<&'a str>,
 }
 
-impl Chosen<'_> {
+impl EvaluationFilter<'_> {
     /// Whether an evaluation is among it, and whether it fails.
-    fn of(&self, look: &Look, method: &Method, evaluated: &Evaluated) -> Option<bool> {
+    fn classify(&self, look: &CampaignReader, method: &Method, evaluated: &Evaluated) -> Option<bool> {
         if self.method.is_some_and(|wanted| wanted != method.name()) {
             return None;
         }
@@ -199,7 +200,7 @@ impl Chosen<'_> {
 }
 
 /// The kinds of failures, the most frequent first.
-fn kinds(look: &Look) -> Vec<String> {
+fn failure_kinds(look: &CampaignReader) -> Vec<String> {
     if let Some(summary) = look.summary().filter(|summary| !summary.failures.is_empty()) {
         return summary.failures.iter().map(|kind| kind.kind.clone()).collect();
     }
@@ -212,8 +213,8 @@ fn kinds(look: &Look) -> Vec<String> {
     kinds.into_iter().map(|(kind, _)| kind).collect()
 }
 
-fn words(shown: &Shown<'_>) -> String {
-    let Shown { name, look, .. } = shown;
+fn summary_line(shown: &CampaignView<'_>) -> String {
+    let CampaignView { name, look, .. } = shown;
     let (made, all) = (look.evaluations().len(), look.total());
     let failing = look.evaluations().iter().filter(|(_, evaluated)| evaluated.verdict.is_violation()).count();
     let stage = match look.summary() {
@@ -236,7 +237,7 @@ fn words(shown: &Shown<'_>) -> String {
 }
 
 /// The distinct failures of a complete campaign.
-fn distinct(shown: &Shown<'_>) -> Markup {
+fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
     let Some(summary) = shown.look.summary() else {
         return html! { p.hint { (Terminal(shown.name)) ": distinct failures are told apart when the search is over." } };
     };
@@ -261,8 +262,8 @@ fn distinct(shown: &Shown<'_>) -> Markup {
 }
 
 /// Failing evaluations: the latest while a campaign runs, the severest afterwards.
-fn failures(shown: &[Shown<'_>], chosen: &Chosen<'_>) -> Markup {
-    let list = |one: &Shown<'_>| {
+fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> Markup {
+    let list = |one: &CampaignView<'_>| {
         let rows = one.look.evaluations().iter().enumerate();
         let mut failing: Vec<_> =
             rows.filter(|(_, (method, evaluated))| chosen.of(one.look, method, evaluated) == Some(true)).collect();
@@ -273,7 +274,7 @@ fn failures(shown: &[Shown<'_>], chosen: &Chosen<'_>) -> Markup {
             }
         }
         let all = failing.len();
-        failing.truncate(MOST_LISTED);
+        failing.truncate(MAX_LISTED);
         let order = if one.look.summary().is_some() { "severest" } else { "latest" };
         html! { @if all > 0 { div.scroll tabindex="0" { table {
             caption { (Terminal(one.name)) ": " (all) " failing evaluations" @if all > failing.len() { ", the " (failing.len()) " " (order) } }
@@ -294,12 +295,12 @@ fn failures(shown: &[Shown<'_>], chosen: &Chosen<'_>) -> Markup {
     html! { @for one in shown { (list(one)) } }
 }
 
-fn changed(changed: &Changed) -> String {
+fn changed_parameter(changed: &Changed) -> String {
     let unit = if changed.unit == "1" { "" } else { changed.unit.as_str() };
     format!("{} {} {unit}", changed.parameter, changed.value).trim_end().to_owned()
 }
 
-fn avoidable(class: AvoidabilityClass) -> &'static str {
+fn avoidability_label(class: AvoidabilityClass) -> &'static str {
     match class {
         AvoidabilityClass::Avoidable => "yes",
         AvoidabilityClass::Unavoidable => "no, proved",
@@ -308,6 +309,6 @@ fn avoidable(class: AvoidabilityClass) -> &'static str {
     }
 }
 
-fn number(value: Option<f64>, digits: usize) -> String {
+fn format_number(value: Option<f64>, digits: usize) -> String {
     value.map_or("–".to_owned(), |value| crumple_report::draw::signed(value, digits))
 }

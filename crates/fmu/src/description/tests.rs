@@ -4,7 +4,7 @@ use super::*;
 use crate::{Conversion, Dimension};
 
 /// Returns a description of FMI 2 with these definitions and variables.
-fn fmi_2(definitions: &str, variables: &str) -> String {
+fn fmi2_description(definitions: &str, variables: &str) -> String {
     format!(
         "<?xml version=\"1.0\"?>\n<fmiModelDescription fmiVersion=\"2.0\" modelName=\"a\" guid=\"g\">\n\
          <CoSimulation modelIdentifier=\"a\"/>\n{definitions}<ModelVariables>{variables}</ModelVariables></fmiModelDescription>"
@@ -12,8 +12,8 @@ fn fmi_2(definitions: &str, variables: &str) -> String {
 }
 
 /// Returns a description of FMI 3 with these definitions and variables.
-fn fmi_3(definitions: &str, variables: &str) -> String {
-    fmi_2(definitions, variables)
+fn fmi3_description(definitions: &str, variables: &str) -> String {
+    fmi2_description(definitions, variables)
         .replace("fmiVersion=\"2.0\"", "fmiVersion=\"3.0\"")
         .replace("guid", "instantiationToken")
 }
@@ -67,16 +67,16 @@ fn units_come_from_the_variable_or_its_declared_type_in_both_editions() {
     ];
     for (attributes, name, conversion) in cases {
         let expected = name.map(|name| Unit { name: name.to_owned(), conversion });
-        let two = fmi_2(&format!("{UNITS}{types_2}"), &input(attributes));
+        let two = fmi2_description(&format!("{UNITS}{types_2}"), &input(attributes));
         assert_eq!(unit(&two), expected, "FMI 2, {attributes}");
         let variable = format!("<Float64 name=\"x\" valueReference=\"0\" causality=\"input\" {attributes}/>");
-        assert_eq!(unit(&fmi_3(&format!("{UNITS}{types_3}"), &variable)), expected, "FMI 3, {attributes}");
+        assert_eq!(unit(&fmi3_description(&format!("{UNITS}{types_3}"), &variable)), expected, "FMI 3, {attributes}");
     }
 }
 
 #[test]
 fn what_is_wrong_with_units_is_refused_with_its_line() {
-    let with = |unit: &str| fmi_2(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
+    let with = |unit: &str| fmi2_description(&format!("<UnitDefinitions>\n{unit}</UnitDefinitions>"), &input("unit=\"u\""));
     let cases = [
         (with("<Unit name=\"u\"><BaseUnit m=\"1.5\"/></Unit>"), "line 5: `BaseUnit`: m: \"1.5\" is not a whole number"),
         (with("<Unit name=\"u\"><BaseUnit factor=\"0\"/></Unit>"), "line 5: `BaseUnit`: factor: must not be 0"),
@@ -87,9 +87,9 @@ fn what_is_wrong_with_units_is_refused_with_its_line() {
             with("<Unit name=\"u\"><BaseUnit/></Unit>\n<Unit name=\"u\"><BaseUnit/></Unit>"),
             "line 6: there are two units \"u\"",
         ),
-        (fmi_2("", &input("declaredType=\"T\"")), "line 4: declaredType: there is no real type \"T\""),
+        (fmi2_description("", &input("declaredType=\"T\"")), "line 4: declaredType: there is no real type \"T\""),
         (
-            fmi_2("", &input("unit=\"m\" relativeQuantity=\"maybe\"")),
+            fmi2_description("", &input("unit=\"m\" relativeQuantity=\"maybe\"")),
             "relativeQuantity: \"maybe\" is neither true nor false",
         ),
     ];
@@ -101,7 +101,7 @@ fn what_is_wrong_with_units_is_refused_with_its_line() {
 
 #[test]
 fn texts_that_are_not_well_formed_are_refused_with_their_line() {
-    let whole = fmi_2("", &input(""));
+    let whole = fmi2_description("", &input(""));
     assert!(Description::from_xml(&format!("\u{feff}{whole}")).is_ok());
     assert!(Description::from_xml(&format!("{whole}\n<!-- end -->\n")).is_ok());
     let cases = [
@@ -138,7 +138,7 @@ fn descriptions_are_read_in_linear_time() {
         }
         text
     };
-    let whole = |extra: &str| fmi_2(extra, &input(""));
+    let whole = |extra: &str| fmi2_description(extra, &input(""));
     let nested = "<Unit>".repeat(BYTES / 13) + &"</Unit>".repeat(BYTES / 13);
     let texts = [
         ("attributes", whole(&format!("<a {}/>", many(&|i| format!(" a{i}=\"1\"")))), true),
@@ -162,7 +162,7 @@ fn descriptions_are_read_in_linear_time() {
             )),
             true,
         ),
-        ("variables", fmi_2("", &many(&|i| input("").replace("\"x\"", &format!("\"x{i}\"")))), true),
+        ("variables", fmi2_description("", &many(&|i| input("").replace("\"x\"", &format!("\"x{i}\"")))), true),
     ];
     for (what, text, is_read) in texts {
         let start = Instant::now();

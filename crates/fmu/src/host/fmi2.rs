@@ -8,12 +8,12 @@ use std::ptr;
 
 use libloading::{Library, Symbol};
 
-use super::instance::{Calls, Made, Wire, checked, not_loaded, resources};
-use crate::Kind;
+use super::instance::{FmiFunctions, InstanceParams, VariableRef, check_status, load_error_message, resources_folder};
+use crate::VariableType;
 
-type Component = *mut c_void;
-type Status = c_int;
-type Logger = extern "C" fn(*mut c_void, *const c_char, Status, *const c_char, *const c_char);
+type Fmi2Component = *mut c_void;
+type Fmi2Status = c_int;
+type Fmi2Logger = extern "C" fn(*mut c_void, *const c_char, Fmi2Status, *const c_char, *const c_char);
 
 unsafe extern "C" {
     fn calloc(count: usize, size: usize) -> *mut c_void;
@@ -22,8 +22,8 @@ unsafe extern "C" {
 
 /// `fmi2CallbackFunctions`.
 #[repr(C)]
-struct Callbacks {
-    logger: Logger,
+struct Fmi2Callbacks {
+    logger: Fmi2Logger,
     allocate_memory: unsafe extern "C" fn(usize, usize) -> *mut c_void,
     free_memory: unsafe extern "C" fn(*mut c_void),
     step_finished: *const c_void,
@@ -32,71 +32,71 @@ struct Callbacks {
 
 /// The logger of the standard takes more arguments, which are for its message as for `printf`. A function that does not look at
 /// them is called the same way by the C conventions of x86-64 and of AArch64, so they are left where they are.
-extern "C" fn log(_: *mut c_void, _: *const c_char, status: Status, _: *const c_char, message: *const c_char) {
-    told(status, message);
+extern "C" fn log(_: *mut c_void, _: *const c_char, status: Fmi2Status, _: *const c_char, message: *const c_char) {
+    log_message(status, message);
 }
 
-type Instantiate = unsafe extern "C" fn(
+type Fmi2Instantiate = unsafe extern "C" fn(
     *const c_char,
     c_int,
     *const c_char,
     *const c_char,
-    *const Callbacks,
+    *const Fmi2Callbacks,
     c_int,
     c_int,
-) -> Component;
-type OfComponent = unsafe extern "C" fn(Component) -> Status;
-type Free = unsafe extern "C" fn(Component);
-type Setup = unsafe extern "C" fn(Component, c_int, f64, f64, c_int, f64) -> Status;
-type DoStep = unsafe extern "C" fn(Component, f64, f64, c_int) -> Status;
-type SetReal = unsafe extern "C" fn(Component, *const c_uint, usize, *const f64) -> Status;
-type SetInteger = unsafe extern "C" fn(Component, *const c_uint, usize, *const c_int) -> Status;
-type GetReal = unsafe extern "C" fn(Component, *const c_uint, usize, *mut f64) -> Status;
+) -> Fmi2Component;
+type Fmi2ComponentCall = unsafe extern "C" fn(Fmi2Component) -> Fmi2Status;
+type Fmi2FreeInstance = unsafe extern "C" fn(Fmi2Component);
+type Fmi2SetupExperiment = unsafe extern "C" fn(Fmi2Component, c_int, f64, f64, c_int, f64) -> Fmi2Status;
+type Fmi2DoStep = unsafe extern "C" fn(Fmi2Component, f64, f64, c_int) -> Fmi2Status;
+type Fmi2SetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const f64) -> Fmi2Status;
+type Fmi2SetInteger = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *const c_int) -> Fmi2Status;
+type Fmi2GetReal = unsafe extern "C" fn(Fmi2Component, *const c_uint, usize, *mut f64) -> Fmi2Status;
 
 /// An FMU of FMI 2.0.
 pub(super) struct Fmi2 {
-    instantiate: Instantiate,
-    free: Free,
-    reset: OfComponent,
-    setup: Setup,
-    enter: OfComponent,
-    exit: OfComponent,
-    terminate: OfComponent,
-    do_step: DoStep,
-    set_real: SetReal,
-    set_integer: SetInteger,
-    set_boolean: SetInteger,
-    get_real: GetReal,
+    instantiate: Fmi2Instantiate,
+    free: Fmi2FreeInstance,
+    reset: Fmi2ComponentCall,
+    setup_experiment: Fmi2SetupExperiment,
+    enter_initialization_mode: Fmi2ComponentCall,
+    exit_initialization_mode: Fmi2ComponentCall,
+    terminate: Fmi2ComponentCall,
+    do_step: Fmi2DoStep,
+    set_real: Fmi2SetReal,
+    set_integer: Fmi2SetInteger,
+    set_boolean: Fmi2SetInteger,
+    get_real: Fmi2GetReal,
     token: CString,
     resources: CString,
-    callbacks: Box<Callbacks>,
-    component: Component,
+    callbacks: Box<Fmi2Callbacks>,
+    component: Fmi2Component,
     /// The functions above are its own: it is closed after all of them.
     _library: Library,
 }
 
 impl Fmi2 {
-    pub(super) fn load(made: &Made<'_>) -> Result<Self, String> {
+    pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
-        let location = format!("file://{}", percent_encoded(&resources(made.folder).to_string_lossy()));
+        let location = format!("file://{}", percent_encode(&resources_folder(made.folder).to_string_lossy()));
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| not_loaded(&error, made.folder))?;
+        let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
         Ok(Self {
-            instantiate: function(&library, c"fmi2Instantiate")?,
-            free: function(&library, c"fmi2FreeInstance")?,
-            reset: function(&library, c"fmi2Reset")?,
-            setup: function(&library, c"fmi2SetupExperiment")?,
-            enter: function(&library, c"fmi2EnterInitializationMode")?,
-            exit: function(&library, c"fmi2ExitInitializationMode")?,
-            terminate: function(&library, c"fmi2Terminate")?,
-            do_step: function(&library, c"fmi2DoStep")?,
-            set_real: function(&library, c"fmi2SetReal")?,
-            set_integer: function(&library, c"fmi2SetInteger")?,
-            set_boolean: function(&library, c"fmi2SetBoolean")?,
-            get_real: function(&library, c"fmi2GetReal")?,
-            token: text(&made.description.token)?,
+            instantiate: load_symbol(&library, c"fmi2Instantiate")?,
+            free: load_symbol(&library, c"fmi2FreeInstance")?,
+            reset: load_symbol(&library, c"fmi2Reset")?,
+            setup_experiment: load_symbol(&library, c"fmi2SetupExperiment")?,
+            enter_initialization_mode: load_symbol(&library, c"fmi2EnterInitializationMode")?,
+            exit_initialization_mode: load_symbol(&library, c"fmi2ExitInitializationMode")?,
+            terminate: load_symbol(&library, c"fmi2Terminate")?,
+            do_step: load_symbol(&library, c"fmi2DoStep")?,
+            set_real: load_symbol(&library, c"fmi2SetReal")?,
+            set_integer: load_symbol(&library, c"fmi2SetInteger")?,
+            set_boolean: load_symbol(&library, c"fmi2SetBoolean")?,
+            get_real: load_symbol(&library, c"fmi2GetReal")?,
+            token: text(&made.description.instantiation_token)?,
             resources: text(&location)?,
-            callbacks: Box::new(Callbacks {
+            callbacks: Box::new(Fmi2Callbacks {
                 logger: log,
                 allocate_memory: calloc,
                 free_memory: free,
@@ -109,7 +109,7 @@ impl Fmi2 {
     }
 }
 
-impl Calls for Fmi2 {
+impl FmiFunctions for Fmi2 {
     fn instantiate(&mut self) -> Result<(), String> {
         /// `fmi2CoSimulation`.
         const CO_SIMULATION: c_int = 1;
@@ -122,45 +122,45 @@ impl Calls for Fmi2 {
 
     fn reset(&mut self) -> Result<(), String> {
         // SAFETY: the component is an instance of this library.
-        checked("fmi2Reset", unsafe { (self.reset)(self.component) })
+        check_status("fmi2Reset", unsafe { (self.reset)(self.component) })
     }
 
-    fn set(&mut self, wire: Wire, value: f64) -> Result<(), String> {
-        let reference = &raw const wire.reference;
+    fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
+        let reference = &raw const wire.value_reference;
         let whole = value as c_int;
         // SAFETY: one reference, and one value, which are read before the call returns.
         let (call, status) = unsafe {
             match wire.kind {
-                Kind::Real => ("fmi2SetReal", (self.set_real)(self.component, reference, 1, &raw const value)),
-                Kind::Integer => ("fmi2SetInteger", (self.set_integer)(self.component, reference, 1, &raw const whole)),
-                Kind::Boolean => ("fmi2SetBoolean", (self.set_boolean)(self.component, reference, 1, &raw const whole)),
+                VariableType::Real => ("fmi2SetReal", (self.set_real)(self.component, reference, 1, &raw const value)),
+                VariableType::Integer => ("fmi2SetInteger", (self.set_integer)(self.component, reference, 1, &raw const whole)),
+                VariableType::Boolean => ("fmi2SetBoolean", (self.set_boolean)(self.component, reference, 1, &raw const whole)),
             }
         };
-        checked(call, status)
+        check_status(call, status)
     }
 
     fn enter_initialization(&mut self) -> Result<(), String> {
         // SAFETY: the component is an instance of this library.
-        checked("fmi2SetupExperiment", unsafe { (self.setup)(self.component, 0, 0.0, 0.0, 0, 0.0) })?;
+        check_status("fmi2SetupExperiment", unsafe { (self.setup_experiment)(self.component, 0, 0.0, 0.0, 0, 0.0) })?;
         // SAFETY: likewise.
-        checked("fmi2EnterInitializationMode", unsafe { (self.enter)(self.component) })
+        check_status("fmi2EnterInitializationMode", unsafe { (self.enter_initialization_mode)(self.component) })
     }
 
     fn exit_initialization(&mut self) -> Result<(), String> {
         // SAFETY: the component is an instance of this library.
-        checked("fmi2ExitInitializationMode", unsafe { (self.exit)(self.component) })
+        check_status("fmi2ExitInitializationMode", unsafe { (self.exit_initialization_mode)(self.component) })
     }
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
         // SAFETY: the component is an initialized instance of this library.
-        checked("fmi2DoStep", unsafe { (self.do_step)(self.component, time_s, step_s, 1) })
+        check_status("fmi2DoStep", unsafe { (self.do_step)(self.component, time_s, step_s, 1) })
     }
 
-    fn get(&mut self, wire: Wire) -> Result<f64, String> {
+    fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
-        let status = unsafe { (self.get_real)(self.component, &raw const wire.reference, 1, &raw mut value) };
-        checked("fmi2GetReal", status)?;
+        let status = unsafe { (self.get_real)(self.component, &raw const wire.value_reference, 1, &raw mut value) };
+        check_status("fmi2GetReal", status)?;
         Ok(value)
     }
 
@@ -176,7 +176,7 @@ impl Calls for Fmi2 {
 }
 
 /// Passes on what an FMU logs, to standard error. A message of FMI 2 may hold places for arguments, which stay as they are.
-pub(super) fn told(status: Status, message: *const c_char) {
+pub(super) fn log_message(status: Fmi2Status, message: *const c_char) {
     if !message.is_null() {
         // SAFETY: a text of the standard ends in NUL, and is there until the call returns.
         let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
@@ -186,7 +186,7 @@ pub(super) fn told(status: Status, message: *const c_char) {
 }
 
 /// A function of a library, which stays valid while that is open.
-pub(super) fn function<F: Copy>(library: &Library, name: &CStr) -> Result<F, String> {
+pub(super) fn load_symbol<F: Copy>(library: &Library, name: &CStr) -> Result<F, String> {
     // SAFETY: the standard says of each name what function it is; whoever asks keeps the library open.
     let found: Symbol<'_, F> = unsafe { library.get(name.to_bytes_with_nul()) }
         .map_err(|_| format!("its library has no function {}", name.to_string_lossy()))?;
@@ -194,7 +194,7 @@ pub(super) fn function<F: Copy>(library: &Library, name: &CStr) -> Result<F, Str
 }
 
 /// A path as it stands in an address.
-fn percent_encoded(path: &str) -> String {
+fn percent_encode(path: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte);
     let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
     path.bytes().map(encode).collect()

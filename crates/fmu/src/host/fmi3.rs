@@ -7,19 +7,19 @@ use std::ptr;
 
 use libloading::Library;
 
-use super::fmi2::{function, told};
-use super::instance::{Calls, Made, Wire, checked, not_loaded, resources};
-use crate::Kind;
+use super::fmi2::{load_symbol, log_message};
+use super::instance::{FmiFunctions, InstanceParams, VariableRef, check_status, load_error_message, resources_folder};
+use crate::VariableType;
 
-type Handle = *mut c_void;
-type Status = c_int;
-type Logger = extern "C" fn(*mut c_void, Status, *const c_char, *const c_char);
+type Fmi3Instance = *mut c_void;
+type Fmi3Status = c_int;
+type Fmi3Logger = extern "C" fn(*mut c_void, Fmi3Status, *const c_char, *const c_char);
 
-extern "C" fn log(_: *mut c_void, status: Status, _: *const c_char, message: *const c_char) {
-    told(status, message);
+extern "C" fn log(_: *mut c_void, status: Fmi3Status, _: *const c_char, message: *const c_char) {
+    log_message(status, message);
 }
 
-type Instantiate = unsafe extern "C" fn(
+type Fmi3Instantiate = unsafe extern "C" fn(
     *const c_char,
     *const c_char,
     *const c_char,
@@ -30,58 +30,58 @@ type Instantiate = unsafe extern "C" fn(
     *const c_uint,
     usize,
     *mut c_void,
-    Logger,
+    Fmi3Logger,
     *const c_void,
-) -> Handle;
-type OfInstance = unsafe extern "C" fn(Handle) -> Status;
-type Free = unsafe extern "C" fn(Handle);
-type Enter = unsafe extern "C" fn(Handle, bool, f64, f64, bool, f64) -> Status;
-type DoStep = unsafe extern "C" fn(Handle, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> Status;
-type SetFloat64 = unsafe extern "C" fn(Handle, *const c_uint, usize, *const f64, usize) -> Status;
-type SetInt32 = unsafe extern "C" fn(Handle, *const c_uint, usize, *const i32, usize) -> Status;
-type SetBoolean = unsafe extern "C" fn(Handle, *const c_uint, usize, *const bool, usize) -> Status;
-type GetFloat64 = unsafe extern "C" fn(Handle, *const c_uint, usize, *mut f64, usize) -> Status;
+) -> Fmi3Instance;
+type Fmi3InstanceCall = unsafe extern "C" fn(Fmi3Instance) -> Fmi3Status;
+type Fmi3FreeInstance = unsafe extern "C" fn(Fmi3Instance);
+type Fmi3EnterInitializationMode = unsafe extern "C" fn(Fmi3Instance, bool, f64, f64, bool, f64) -> Fmi3Status;
+type Fmi3DoStep = unsafe extern "C" fn(Fmi3Instance, f64, f64, bool, *mut bool, *mut bool, *mut bool, *mut f64) -> Fmi3Status;
+type Fmi3SetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const f64, usize) -> Fmi3Status;
+type Fmi3SetInt32 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const i32, usize) -> Fmi3Status;
+type Fmi3SetBoolean = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *const bool, usize) -> Fmi3Status;
+type Fmi3GetFloat64 = unsafe extern "C" fn(Fmi3Instance, *const c_uint, usize, *mut f64, usize) -> Fmi3Status;
 
 /// An FMU of FMI 3.0.
 pub(super) struct Fmi3 {
-    instantiate: Instantiate,
-    free: Free,
-    reset: OfInstance,
-    enter: Enter,
-    exit: OfInstance,
-    terminate: OfInstance,
-    do_step: DoStep,
-    set_float64: SetFloat64,
-    set_int32: SetInt32,
-    set_boolean: SetBoolean,
-    get_float64: GetFloat64,
+    instantiate: Fmi3Instantiate,
+    free: Fmi3FreeInstance,
+    reset: Fmi3InstanceCall,
+    enter_initialization_mode: Fmi3EnterInitializationMode,
+    exit_initialization_mode: Fmi3InstanceCall,
+    terminate: Fmi3InstanceCall,
+    do_step: Fmi3DoStep,
+    set_float64: Fmi3SetFloat64,
+    set_int32: Fmi3SetInt32,
+    set_boolean: Fmi3SetBoolean,
+    get_float64: Fmi3GetFloat64,
     token: CString,
     resources: CString,
-    instance: Handle,
+    instance: Fmi3Instance,
     /// The functions above are its own: it is closed after all of them.
     _library: Library,
 }
 
 impl Fmi3 {
-    pub(super) fn load(made: &Made<'_>) -> Result<Self, String> {
+    pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} holds a NUL"));
         // With a separator at its end, as the standard wants it.
-        let location = resources(made.folder).join("").to_string_lossy().into_owned();
+        let location = resources_folder(made.folder).join("").to_string_lossy().into_owned();
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| not_loaded(&error, made.folder))?;
+        let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
         Ok(Self {
-            instantiate: function(&library, c"fmi3InstantiateCoSimulation")?,
-            free: function(&library, c"fmi3FreeInstance")?,
-            reset: function(&library, c"fmi3Reset")?,
-            enter: function(&library, c"fmi3EnterInitializationMode")?,
-            exit: function(&library, c"fmi3ExitInitializationMode")?,
-            terminate: function(&library, c"fmi3Terminate")?,
-            do_step: function(&library, c"fmi3DoStep")?,
-            set_float64: function(&library, c"fmi3SetFloat64")?,
-            set_int32: function(&library, c"fmi3SetInt32")?,
-            set_boolean: function(&library, c"fmi3SetBoolean")?,
-            get_float64: function(&library, c"fmi3GetFloat64")?,
-            token: text(&made.description.token)?,
+            instantiate: load_symbol(&library, c"fmi3InstantiateCoSimulation")?,
+            free: load_symbol(&library, c"fmi3FreeInstance")?,
+            reset: load_symbol(&library, c"fmi3Reset")?,
+            enter_initialization_mode: load_symbol(&library, c"fmi3EnterInitializationMode")?,
+            exit_initialization_mode: load_symbol(&library, c"fmi3ExitInitializationMode")?,
+            terminate: load_symbol(&library, c"fmi3Terminate")?,
+            do_step: load_symbol(&library, c"fmi3DoStep")?,
+            set_float64: load_symbol(&library, c"fmi3SetFloat64")?,
+            set_int32: load_symbol(&library, c"fmi3SetInt32")?,
+            set_boolean: load_symbol(&library, c"fmi3SetBoolean")?,
+            get_float64: load_symbol(&library, c"fmi3GetFloat64")?,
+            token: text(&made.description.instantiation_token)?,
             resources: text(&location)?,
             instance: ptr::null_mut(),
             _library: library,
@@ -89,7 +89,7 @@ impl Fmi3 {
     }
 }
 
-impl Calls for Fmi3 {
+impl FmiFunctions for Fmi3 {
     fn instantiate(&mut self) -> Result<(), String> {
         let (token, resources) = (self.token.as_ptr(), self.resources.as_ptr());
         let (none, nobody) = (ptr::null(), ptr::null_mut());
@@ -116,33 +116,33 @@ impl Calls for Fmi3 {
 
     fn reset(&mut self) -> Result<(), String> {
         // SAFETY: an instance of this library.
-        checked("fmi3Reset", unsafe { (self.reset)(self.instance) })
+        check_status("fmi3Reset", unsafe { (self.reset)(self.instance) })
     }
 
-    fn set(&mut self, wire: Wire, value: f64) -> Result<(), String> {
-        let reference = &raw const wire.reference;
+    fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
+        let reference = &raw const wire.value_reference;
         let (whole, truth) = (value as i32, value != 0.0);
         // SAFETY: one reference, and one value, which are read before the call returns.
         let (call, status) = unsafe {
             match wire.kind {
-                Kind::Real => ("fmi3SetFloat64", (self.set_float64)(self.instance, reference, 1, &raw const value, 1)),
-                Kind::Integer => ("fmi3SetInt32", (self.set_int32)(self.instance, reference, 1, &raw const whole, 1)),
-                Kind::Boolean => {
+                VariableType::Real => ("fmi3SetFloat64", (self.set_float64)(self.instance, reference, 1, &raw const value, 1)),
+                VariableType::Integer => ("fmi3SetInt32", (self.set_int32)(self.instance, reference, 1, &raw const whole, 1)),
+                VariableType::Boolean => {
                     ("fmi3SetBoolean", (self.set_boolean)(self.instance, reference, 1, &raw const truth, 1))
                 }
             }
         };
-        checked(call, status)
+        check_status(call, status)
     }
 
     fn enter_initialization(&mut self) -> Result<(), String> {
         // SAFETY: an instance of this library.
-        checked("fmi3EnterInitializationMode", unsafe { (self.enter)(self.instance, false, 0.0, 0.0, false, 0.0) })
+        check_status("fmi3EnterInitializationMode", unsafe { (self.enter_initialization_mode)(self.instance, false, 0.0, 0.0, false, 0.0) })
     }
 
     fn exit_initialization(&mut self) -> Result<(), String> {
         // SAFETY: an instance of this library.
-        checked("fmi3ExitInitializationMode", unsafe { (self.exit)(self.instance) })
+        check_status("fmi3ExitInitializationMode", unsafe { (self.exit_initialization_mode)(self.instance) })
     }
 
     fn step(&mut self, time_s: f64, step_s: f64) -> Result<(), String> {
@@ -160,15 +160,15 @@ impl Calls for Fmi3 {
                 &raw mut last_s,
             )
         };
-        checked("fmi3DoStep", status)?;
+        check_status("fmi3DoStep", status)?;
         if ends { Err(format!("the FMU asks for the end of the simulation at {last_s} s")) } else { Ok(()) }
     }
 
-    fn get(&mut self, wire: Wire) -> Result<f64, String> {
+    fn get(&mut self, wire: VariableRef) -> Result<f64, String> {
         let mut value = f64::NAN;
         // SAFETY: one reference, and room for one value.
-        let status = unsafe { (self.get_float64)(self.instance, &raw const wire.reference, 1, &raw mut value, 1) };
-        checked("fmi3GetFloat64", status)?;
+        let status = unsafe { (self.get_float64)(self.instance, &raw const wire.value_reference, 1, &raw mut value, 1) };
+        check_status("fmi3GetFloat64", status)?;
         Ok(value)
     }
 

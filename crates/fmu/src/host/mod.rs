@@ -14,7 +14,7 @@ mod fmi2;
 mod fmi3;
 mod instance;
 mod serve;
-mod unpacked;
+mod unpacked_folder;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,18 +22,18 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::Fmu;
-use instance::Wiring;
+use instance::VariableMap;
 
 /// Drives by an FMU for crumple, in a process of its own
 #[derive(Parser)]
 #[command(name = "crumple-fmu", version, about)]
-struct Arguments {
+struct HostArguments {
     #[command(subcommand)]
-    task: Task,
+    command: HostCommand,
 }
 
 #[derive(Subcommand)]
-enum Task {
+enum HostCommand {
     /// Lists what an FMU can be wired to
     Describe {
         /// The FMU
@@ -52,7 +52,7 @@ enum Task {
         #[arg(long, value_name = "VARIABLE")]
         output: String,
         /// A value that a parameter begins with; booleans are 0 or 1
-        #[arg(long = "parameter", value_name = "VARIABLE=VALUE", value_parser = parameter)]
+        #[arg(long = "parameter", value_name = "VARIABLE=VALUE", value_parser = parse_parameter)]
         parameters: Vec<(String, f64)>,
         /// Time between decisions, in seconds; the scenario's step unless it is said
         #[arg(long, value_name = "S")]
@@ -60,7 +60,7 @@ enum Task {
     },
 }
 
-fn parameter(text: &str) -> Result<(String, f64), String> {
+fn parse_parameter(text: &str) -> Result<(String, f64), String> {
     // Names of variables hold equals signs sooner than numbers do.
     let (name, value) = text.rsplit_once('=').ok_or("must be VARIABLE=VALUE")?;
     Ok((name.to_owned(), value.parse().map_err(|_| format!("{value:?} is no number"))?))
@@ -69,13 +69,13 @@ fn parameter(text: &str) -> Result<(String, f64), String> {
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
-    let (fmu, done) = match Arguments::parse().task {
-        Task::Describe { fmu } => {
+    let (fmu, done) = match HostArguments::parse().command {
+        HostCommand::Describe { fmu } => {
             let described = Fmu::open(&fmu).map(|fmu| print!("{}", fmu.description()));
             (fmu, described.map_err(|error| error.to_string()))
         }
-        Task::Drive { fmu, inputs, output, parameters, interval_s } => {
-            let wiring = Wiring { inputs, output, parameters, interval_s };
+        HostCommand::Drive { fmu, inputs, output, parameters, interval_s } => {
+            let wiring = VariableMap { inputs, output, parameters, interval_s };
             let served = serve::serve(&fmu, &wiring);
             (fmu, served)
         }

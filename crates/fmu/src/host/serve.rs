@@ -6,18 +6,19 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::instance::{Instance, Wiring};
+use super::instance::{Instance, VariableMap};
 
 /// Longest line that is read, in bytes.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_LINE_BYTES: u64 = 1 << 20;
 
 /// A question; crumple writes no others to who does not answer in batches.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Question {
+enum HostRequest {
     Hello {
-        crumple: u32,
-        hello: Hello,
+        #[serde(rename = "crumple")]
+        version: u32,
+        hello: HelloBody,
     },
     Reset {
         id: u64,
@@ -27,35 +28,36 @@ enum Question {
     Decide {
         id: u64,
         time_s: f64,
-        see: Vec<f64>,
+        #[serde(rename = "see")]
+        inputs: Vec<f64>,
     },
 }
 
 #[derive(Deserialize)]
-struct Hello {
+struct HelloBody {
     step_s: f64,
     inputs: Vec<String>,
     history: usize,
 }
 
 /// Answers until standard input ends.
-pub(super) fn serve(fmu: &Path, wiring: &Wiring) -> Result<(), String> {
+pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
     let io_failed = |error: io::Error| format!("standard input or output: {error}");
-    let mut answers = own_output().map_err(io_failed)?;
+    let mut answers = redirect_stdout().map_err(io_failed)?;
     let mut instance = Instance::load(fmu, wiring)?;
     let name = serde_json::Value::from(fmu.file_name().unwrap_or(fmu.as_os_str()).to_string_lossy());
     let mut interval_s = None;
     let (mut questions, mut line) = (io::stdin().lock(), String::new());
     loop {
         line.clear();
-        let read = io::Read::take(&mut questions, MOST_BYTES).read_line(&mut line).map_err(io_failed)?;
+        let read = io::Read::take(&mut questions, MAX_LINE_BYTES).read_line(&mut line).map_err(io_failed)?;
         if read == 0 {
             return Ok(());
         }
         let question = serde_json::from_str(&line).map_err(|error| format!("{error} in {}", line.trim_end()))?;
         let answer = match question {
-            Question::Hello { crumple, hello } => {
-                let Hello { step_s, inputs, history } = hello;
+            HostRequest::Hello { version: crumple, hello } => {
+                let HelloBody { step_s, inputs, history } = hello;
                 if crumple != 1 || history != 1 || inputs.len() != wiring.inputs.len() {
                     return Err(format!("was made for other questions than {}", line.trim_end()));
                 }
@@ -66,11 +68,11 @@ pub(super) fn serve(fmu: &Path, wiring: &Wiring) -> Result<(), String> {
                     wiring.inputs.len()
                 )
             }
-            Question::Reset { id, .. } => {
-                instance.begin()?;
+            HostRequest::Reset { id, .. } => {
+                instance.start_run()?;
                 format!("{{\"id\":{id},\"ready\":true}}\n")
             }
-            Question::Decide { id, time_s, see } => {
+            HostRequest::Decide { id, time_s, inputs: see } => {
                 let interval_s = interval_s.ok_or("is asked before it was greeted")?;
                 if see.len() != wiring.inputs.len() {
                     return Err(format!("is shown {} numbers and wired to {}", see.len(), wiring.inputs.len()));
@@ -86,7 +88,7 @@ pub(super) fn serve(fmu: &Path, wiring: &Wiring) -> Result<(), String> {
 
 /// Standard output for answers alone: what an FMU prints goes to standard error.
 #[cfg(unix)]
-fn own_output() -> io::Result<File> {
+fn redirect_stdout() -> io::Result<File> {
     let own = rustix::io::dup(rustix::stdio::stdout())?;
     rustix::stdio::dup2_stdout(rustix::stdio::stderr())?;
     Ok(own.into())
@@ -94,6 +96,6 @@ fn own_output() -> io::Result<File> {
 
 /// Processes drive where there is Unix.
 #[cfg(not(unix))]
-fn own_output() -> io::Result<File> {
+fn redirect_stdout() -> io::Result<File> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "controllers that are processes need Unix"))
 }

@@ -42,12 +42,12 @@ pub fn engines_agree(question: &Question<'_>) -> Finding {
 
 /// Everything a result holds, as bits: 0 and -0 are different here.
 #[must_use]
-pub fn bits(result: &Simulated) -> Vec<u64> {
+pub fn result_bits(result: &Simulated) -> Vec<u64> {
     numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
 }
 
 /// Where two results differ first.
-fn difference(alone: &Simulated, batch: &Simulated) -> String {
+fn first_difference(alone: &Simulated, batch: &Simulated) -> String {
     let (one, other) = (numbers(alone), numbers(batch));
     let differing = one.iter().zip(&other).find(|(one, other)| one.2.to_bits() != other.2.to_bits());
     let outcomes = format!("alone {:?}, in the batch {:?}", alone.outcome, batch.outcome);
@@ -58,7 +58,7 @@ fn difference(alone: &Simulated, batch: &Simulated) -> String {
 }
 
 /// Everything a result holds: a name, the index of the impact, vehicle or sample, and the number.
-fn numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
+fn result_numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
     let mut numbers = Vec::new();
     for (index, impact) in result.impacts.iter().enumerate() {
         let contact = &impact.contact;

@@ -8,10 +8,10 @@ use crumple_world::scenario::{Driver, VehicleSpec};
 use crumple_world::sim::Motion;
 
 /// Instants this close are one, in seconds.
-const SAME_INSTANT_S: f64 = 1e-9;
+const TIME_TOLERANCE_S: f64 = 1e-9;
 
 /// Standard deviations of noise that no estimate is off by.
-const DEVIATIONS: f64 = 12.0;
+const MAX_DEVIATIONS: f64 = 12.0;
 
 /// Every number seen is finite and no speed is negative; who sees the truth sees the truth; and where no measurement is
 /// lost, estimated gaps and speeds are off by no more than noise, and what the filter lags behind, explain.
@@ -21,8 +21,8 @@ const DEVIATIONS: f64 = 12.0;
 ///
 /// # Errors
 /// [`Law::Estimates`].
-pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
-    let bounds = Bounds::of(question);
+pub fn estimates_within_bounds(question: &Question<'_>) -> Finding {
+    let bounds = EstimateBounds::of(question);
     let mut finding = None;
     let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
     let in_lane_s: Vec<[f64; 2]> = tracks.map(|track| track.in_lane_s).collect();
@@ -50,7 +50,7 @@ pub fn estimates_are_sane(question: &Question<'_>) -> Finding {
 }
 
 /// What is true for a vehicle, among those that are in the lane.
-fn truth(motion: &[Motion], vehicles: &[VehicleSpec], index: usize, is_there: impl Fn(usize) -> bool) -> Observation {
+fn true_observation(motion: &[Motion], vehicles: &[VehicleSpec], index: usize, is_there: impl Fn(usize) -> bool) -> Observation {
     let gap_m = |front: usize, rear: usize| {
         Some(motion.get(front)?.position_m - vehicles.get(front)?.length_m() - motion.get(rear)?.position_m)
     };
@@ -70,14 +70,14 @@ fn truth(motion: &[Motion], vehicles: &[VehicleSpec], index: usize, is_there: im
 }
 
 /// How far estimates may be off; infinitely far where measurements are lost.
-struct Bounds {
+struct EstimateBounds {
     gap_m: f64,
-    own_mps: f64,
-    neighbour_mps: f64,
+    own_speed_mps: f64,
+    neighbour_speed_mps: f64,
 }
 
-impl Bounds {
-    fn of(question: &Question<'_>) -> Self {
+impl EstimateBounds {
+    fn new(question: &Question<'_>) -> Self {
         let spec = question.test_case.scenario.spec();
         if spec.sensors.dropout > 0.0 {
             return Self { gap_m: f64::INFINITY, own_mps: f64::INFINITY, neighbour_mps: f64::INFINITY };
@@ -98,7 +98,7 @@ impl Bounds {
         }
     }
 
-    fn problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
+    fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
         let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
         if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_mps) {
             return Some(format!("it sees itself at {} m/s, the truth is {} m/s", seen.speed_mps, truth.speed_mps));
@@ -113,7 +113,7 @@ impl Bounds {
         None
     }
 
-    fn allows(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
+    fn contains(&self, seen: &Neighbour, truth: &Neighbour) -> bool {
         let finite = seen.gap_m.is_finite() && seen.speed_mps.is_finite() && seen.acceleration_mps2.is_finite();
         finite
             && seen.speed_mps >= 0.0

@@ -7,7 +7,7 @@ use crate::{FileFormat, Law};
 ///
 /// # Errors
 /// [`Law::Files`].
-pub fn files_keep_scenarios(question: &Question<'_>) -> Finding {
+pub fn files_round_trip(question: &Question<'_>) -> Finding {
     let scenario = &question.test_case.scenario;
     for format in FileFormat::ALL {
         let back = question.system.through_file(scenario, format);

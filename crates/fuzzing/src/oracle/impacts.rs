@@ -5,7 +5,7 @@ use crate::Law;
 use crumple_world::sim::{AfterContact, Impact, Trace};
 
 /// Where two vehicles that stick together may seem to be apart, in metres.
-const STUCK_M: f64 = 1e-8;
+const CONTACT_TOLERANCE_M: f64 = 1e-8;
 
 /// Every impact keeps the momentum of its two bodies and adds no energy; bodies that touched stay together and touch once.
 ///
@@ -31,7 +31,7 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
         let samples =
             pair.gaps_m().filter_map(|(sample, gap_m)| Some((trace.time_s.get(sample)?, gap_m, speeds(sample)?)));
         for (t, gap_m, (front, behind)) in samples {
-            let together = gap_m.abs() < STUCK_M && front == behind;
+            let together = gap_m.abs() < CONTACT_TOLERANCE_M && front == behind;
             let is_after = *t > impact.contact.time_s + 1e-9;
             must(!is_after || together, Law::Sticking, || {
                 format!("vehicle {rear} at {t} s: {gap_m} m from what it hit, {behind} against {front} m/s")
@@ -41,7 +41,7 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
     Ok(Checked::Holds)
 }
 
-fn check(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
+fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
     let contact = &impact.contact;
     let mass_kg = |vehicles: std::ops::RangeInclusive<usize>| -> f64 {
         let involved = vehicles.filter(|vehicle| !impact.beside.contains(vehicle));

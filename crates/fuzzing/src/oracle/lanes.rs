@@ -8,14 +8,14 @@ use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, Vehicl
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, Simulated, Track};
 
 /// Instants and gaps that are one but for rounding, in seconds and metres.
-const SAME: f64 = 1e-6;
+const TOLERANCE: f64 = 1e-6;
 
 /// Times in the lane, impacts and smallest gaps tell one story: nobody touches who is beside the lane, nobody leaves before it
 /// entered, whoever keeps the lane was there throughout, and what is measured on the trace is what the engine saw.
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn lanes_are_kept(question: &Question<'_>) -> Finding {
+pub fn lane_times_are_consistent(question: &Question<'_>) -> Finding {
     let (trace, result) = (question.trace()?, &question.result);
     for (vehicle, (track, spec)) in trace.vehicles.iter().zip(question.test_case.scenario.vehicles()).enumerate() {
         let [from_s, to_s] = track.in_lane_s;
@@ -55,7 +55,7 @@ pub fn lanes_are_kept(question: &Question<'_>) -> Finding {
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn entering_at_once_is_being_there(question: &Question<'_>) -> Finding {
+pub fn entering_at_start_changes_nothing(question: &Question<'_>) -> Finding {
     let scenario = &question.test_case.scenario;
     let changed = |to: Option<LaneChange>| {
         scenario.edited(|spec: &mut ScenarioSpec| {
@@ -81,7 +81,7 @@ pub fn entering_at_once_is_being_there(question: &Question<'_>) -> Finding {
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn who_leaves_behind_changes_nothing_ahead(question: &Question<'_>) -> Finding {
+pub fn leaving_last_vehicle_changes_nothing_ahead(question: &Question<'_>) -> Finding {
     let scenario = &question.test_case.scenario;
     let looks_ahead = |vehicle: &VehicleSpec| match &vehicle.driver {
         Driver::Controller(spec) => spec.policy().is_none(),
@@ -116,13 +116,13 @@ pub fn who_leaves_behind_changes_nothing_ahead(question: &Question<'_>) -> Findi
     Ok(Checked::Holds)
 }
 
-fn run(question: &Question<'_>, scenario: &Scenario) -> Option<Simulated> {
+fn simulate_variant(question: &Question<'_>, scenario: &Scenario) -> Option<Simulated> {
     let run = Run::new(scenario, question.run.options().clone()).ok()?;
     Some(question.system.simulate(&run, RecordingLevel::Trace))
 }
 
 /// Everything but the times in the lane.
-fn without_lanes(mut result: Simulated) -> Simulated {
+fn without_lane_times(mut result: Simulated) -> Simulated {
     for track in result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
         track.in_lane_s = Track::THROUGHOUT_S;
     }

@@ -1,6 +1,6 @@
 //! The oracles: each asks one question of a test case.
 
-mod avoidable;
+mod avoidability;
 mod engines;
 mod estimates;
 mod files;
@@ -8,14 +8,14 @@ mod impacts;
 mod lanes;
 mod monitor;
 mod motion;
-mod shielded;
-mod steps;
-mod story;
+mod shield;
+mod step_size;
+mod metrics;
 
 use super::{Law, System, TestCase, Violation};
 use crumple_world::sim::{RecordingLevel, Run, Simulated, Trace};
 
-pub use avoidable::nobody_does_the_impossible;
+pub use avoidability::nobody_does_the_impossible;
 pub use engines::{bits, engines_agree};
 pub use estimates::estimates_are_sane;
 pub use files::files_keep_scenarios;
@@ -23,32 +23,32 @@ pub use impacts::impacts_are_inelastic;
 pub use lanes::{entering_at_once_is_being_there, lanes_are_kept, who_leaves_behind_changes_nothing_ahead};
 pub use monitor::monitor_agrees;
 pub use motion::motion_is_physical;
-pub use shielded::shield_keeps_clear;
-pub use steps::{same_impacts, step_size_decides_nothing};
-pub use story::one_story;
+pub use shield::shield_keeps_clear;
+pub use step_size::{same_impacts, step_size_decides_nothing};
+pub use metrics::one_story;
 
 /// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
 pub(crate) const ROUNDING_M: f64 = 1e-9;
 
 /// What an oracle found nothing wrong with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Checked {
+pub enum OracleOutcome {
     /// The law holds.
     Holds,
     /// The test case says nothing about the law: rounding decides it.
     Undecided,
     /// The law says nothing about the test case.
-    DoesNotApply,
+    NotApplicable,
 }
 
 /// An oracle: a question to a test case.
-pub type Oracle = fn(&Question<'_>) -> Finding;
+pub type OracleFn = fn(&OracleContext<'_>) -> OracleResult;
 
 /// What an oracle says: a broken law comes with what was seen.
-pub(crate) type Finding = Result<Checked, (Law, String)>;
+pub(crate) type OracleResult = Result<OracleOutcome, (Law, String)>;
 
 /// Every oracle, the cheapest first.
-pub const ORACLES: [Oracle; 10] = [
+pub const ORACLES: [OracleFn; 10] = [
     motion_is_physical,
     one_story,
     impacts_are_inelastic,
@@ -63,7 +63,7 @@ pub const ORACLES: [Oracle; 10] = [
 
 /// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] ask about a shield and about what
 /// anybody could do, which refuse such scenarios and say so.
-pub const LANE_ORACLES: [Oracle; 11] = [
+pub const LANE_ORACLES: [OracleFn; 11] = [
     motion_is_physical,
     lanes_are_kept,
     one_story,
@@ -78,10 +78,10 @@ pub const LANE_ORACLES: [Oracle; 11] = [
 ];
 
 /// How many of [`ORACLES`], the first ones, look at one run only.
-pub(crate) const ORACLES_OF_A_RUN: usize = 3;
+pub(crate) const RUN_ORACLE_COUNT: usize = 3;
 
 /// A test case, the system that is questioned about it, and the run it made of it.
-pub struct Question<'t> {
+pub struct OracleContext<'t> {
     /// The test case.
     pub test_case: &'t TestCase,
     /// Who is questioned.
@@ -92,7 +92,7 @@ pub struct Question<'t> {
     pub result: Simulated,
 }
 
-impl<'t> Question<'t> {
+impl<'t> OracleContext<'t> {
     /// Runs a test case.
     ///
     /// # Errors
@@ -112,7 +112,7 @@ impl<'t> Question<'t> {
     ///
     /// # Errors
     /// The [`Violation`] it found.
-    pub fn ask(&self, oracle: Oracle) -> Result<Checked, Violation> {
+    pub fn check(&self, oracle: OracleFn) -> Result<OracleOutcome, Violation> {
         let reproducer = || self.test_case.reproducer();
         oracle(self).map_err(|(law, finding)| Violation { law, finding, reproducer: reproducer() })
     }
@@ -125,13 +125,13 @@ impl<'t> Question<'t> {
 
 /// Whether two vehicles came so near to touching without it, or touched so softly, that rounding may decide the verdict.
 #[must_use]
-pub fn grazes(result: &Simulated) -> bool {
+pub fn is_grazing(result: &Simulated) -> bool {
     let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
     let soft = result.impacts.iter().any(|impact| impact.contact.impact_speed_mps < 1e-6);
     soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
 }
 
 /// Goes on if a law holds, and says what was seen if not.
-fn must(holds: bool, law: Law, finding: impl FnOnce() -> String) -> Result<(), (Law, String)> {
+fn ensure(holds: bool, law: Law, finding: impl FnOnce() -> String) -> Result<(), (Law, String)> {
     if holds { Ok(()) } else { Err((law, finding())) }
 }

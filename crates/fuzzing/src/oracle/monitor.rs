@@ -10,10 +10,10 @@ use crumple_world::measure::stl::{
 use crumple_world::sim::Trace;
 
 /// Samples that random formulas are judged on: the definition takes quadratic time.
-const FEW: usize = 40;
+const MAX_SAMPLES: usize = 40;
 
 /// The gap to nobody, in metres: farther than anybody is, and a number of which sums are numbers.
-const NOBODY_M: f64 = 1e6;
+const NO_VEHICLE_GAP_M: f64 = 1e6;
 
 /// "Always a gap" holds on the trace if and only if the verdict is no collision, and random formulas over gaps and speeds
 /// have the robustness of the definition at every sample.
@@ -25,13 +25,13 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
     let wrong = |finding: String| (Law::Monitor, finding);
     let step_s = question.run.dt_s();
     let all = signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
-    let apart = never_touch(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
+    let apart = no_contact_formula(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
     let robustness = first(question, &apart, &all)?;
     let collided = !question.result.impacts.is_empty();
     let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || grazes(&question.result) };
     must(sign, Law::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-    let least_m = gaps_m.fold(NOBODY_M, f64::min);
+    let least_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
     must(robustness >= least_m - ROUNDING_M, Law::Monitor, || {
         format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
     })?;
@@ -45,12 +45,12 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
     }
     bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
     let formula = any_formula(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
-    as_defined(question, &formula, &few)?;
+    check_definition(question, &formula, &few)?;
     Ok(Checked::Holds)
 }
 
 /// Robustness over time is that of the definition, and truth its sign.
-fn as_defined(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<(), (Law, String)> {
+fn check_definition(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<(), (Law, String)> {
     let wrong = |error: MonitorError| (Law::Monitor, format!("{formula}: {error}"));
     let over_time = question.system.robustness_over_time(formula, signals).map_err(wrong)?;
     for (k, &value) in over_time.iter().enumerate() {
@@ -64,14 +64,14 @@ fn as_defined(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>)
     })
 }
 
-fn first(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<f64, (Law, String)> {
+fn first_robustness(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<f64, (Law, String)> {
     let over_time = question.system.robustness_over_time(formula, signals);
     let over_time = over_time.map_err(|error| (Law::Monitor, error.to_string()))?;
     over_time.first().copied().ok_or_else(|| (Law::Monitor, "no robustness at the first sample".to_owned()))
 }
 
 /// Every gap is above zero, always.
-fn never_touch(vehicles: usize) -> Result<Formula, FormulaError> {
+fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     let gap = |rear: usize| -> Result<Formula, FormulaError> {
         let comparison = Comparison::new([(1.0, format!("gap{rear}_m"))], Relation::Above, 0.0)?;
         Ok(Formula::Always(Interval::ALL, Box::new(Formula::Compare(comparison))))
@@ -80,14 +80,14 @@ fn never_touch(vehicles: usize) -> Result<Formula, FormulaError> {
 }
 
 /// Gaps and speeds of a trace, at every `every`-th sample.
-fn signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>, SignalsError> {
+fn trace_signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>, SignalsError> {
     let every = every.max(1);
     let mut signals = Signals::new(step_s * every as f64, trace.len().div_ceil(every))?;
     for (index, track) in trace.vehicles.iter().enumerate() {
         let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
         signals.insert(format!("v{index}_mps"), speeds)?;
         if index > 0 {
-            let gaps_m = trace.gaps_m(index).into_iter().map(|gap_m| gap_m.unwrap_or(NOBODY_M));
+            let gaps_m = trace.gaps_m(index).into_iter().map(|gap_m| gap_m.unwrap_or(NO_VEHICLE_GAP_M));
             signals.insert(format!("gap{index}_m"), gaps_m.step_by(every).collect::<Vec<_>>())?;
         }
     }

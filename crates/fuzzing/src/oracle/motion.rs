@@ -21,7 +21,7 @@ pub fn motion_is_physical(question: &Question<'_>) -> Finding {
             };
             must(v >= 0.0 && v_next >= 0.0, Law::ForwardMotion, || at("reverses"))?;
             must(x_next >= x, Law::ForwardMotion, || at("moves back"))?;
-            if hit_between(&question.result, vehicle, t, t_next) {
+            if is_hit_between(&question.result, vehicle, t, t_next) {
                 continue;
             }
             let [slower, faster] = [v.min(v_next), v.max(v_next)].map(|mps| mps * (t_next - t));
@@ -37,7 +37,7 @@ pub fn motion_is_physical(question: &Question<'_>) -> Finding {
 }
 
 /// Whether a vehicle was involved in an impact between two instants.
-fn hit_between(result: &Simulated, vehicle: usize, from_s: f64, to_s: f64) -> bool {
+fn is_hit_between(result: &Simulated, vehicle: usize, from_s: f64, to_s: f64) -> bool {
     result
         .impacts
         .iter()

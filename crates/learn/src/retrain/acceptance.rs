@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Standing;
-use super::regression::{InSpace, SIGNIFICANCE};
+use super::regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
 use crumple_core::digits::nearest;
 use crumple_evidence::Discordant;
 
@@ -38,14 +38,16 @@ pub enum RejectionReason {
         draws: Vec<u64>,
     },
     /// It touches vehicles more often in the draws kept aside.
-    KeptAside {
+    #[serde(rename = "kept-aside")]
+    ValidationSet {
         /// Contacts of the policy before it.
         before: usize,
         /// Its own.
         after: usize,
     },
     /// It touches vehicles more often in a regression space, beyond chance.
-    Worse {
+    #[serde(rename = "worse")]
+    MoreCollisions {
         /// Name of the space.
         space: String,
         /// The draws in which one of the two policies does, and the other does not.
@@ -70,7 +72,7 @@ pub enum RejectionReason {
 /// What differs between two lists of failures, each in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Change {
+pub struct FailureChange {
     /// Failures before.
     pub before: usize,
     /// Failures after.
@@ -81,7 +83,7 @@ pub struct Change {
     pub regressed: usize,
 }
 
-impl Change {
+impl FailureChange {
     /// Between two lists.
     #[must_use]
     pub(crate) fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
@@ -94,7 +96,7 @@ impl Change {
     }
 }
 
-impl fmt::Display for Change {
+impl fmt::Display for FailureChange {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { before, after, fixed, regressed } = self;
         write!(out, "{before} → {after} ({fixed}, {regressed})")
@@ -102,7 +104,7 @@ impl fmt::Display for Change {
 }
 
 /// What of one list is not in the other.
-fn missing<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item = &'a T> {
+fn only_in_first<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item = &'a T> {
     one.iter().filter(|item| !other.contains(item))
 }
 
@@ -110,7 +112,7 @@ fn missing<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item
 /// aside do not rise, and it is worse in no regression space: by McNemar's exact one-sided test on the same draws
 /// ([`Discordant`]), at [`SIGNIFICANCE`] for each space and property.
 #[must_use]
-pub fn rule(before: &Standing, after: &Standing) -> Acceptance {
+pub fn decide_acceptance(before: &Standing, after: &Standing) -> Acceptance {
     let mut objections = Vec::new();
     let scenarios: Vec<String> = missing(&after.paper, &before.paper).cloned().collect();
     if !scenarios.is_empty() {
@@ -133,7 +135,7 @@ pub fn rule(before: &Standing, after: &Standing) -> Acceptance {
 }
 
 /// What is worse in one space.
-fn regressions(before: &InSpace, after: &InSpace) -> impl Iterator<Item = RejectionReason> {
+fn space_rejections(before: &RegressionSpaceResult, after: &RegressionSpaceResult) -> impl Iterator<Item = RejectionReason> {
     let contacts = discordant(&before.contacts, &after.contacts);
     let drives = before.of_no_use.as_ref().zip(after.of_no_use.as_ref()).map(|(was, is)| discordant(was, is));
     let is_worse = |of: &Discordant| of.is_worse(SIGNIFICANCE);
@@ -144,7 +146,7 @@ fn regressions(before: &InSpace, after: &InSpace) -> impl Iterator<Item = Reject
 }
 
 /// Of two lists of failed draws, those that are in one alone.
-pub(super) fn discordant(before: &[u64], after: &[u64]) -> Discordant {
+pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> Discordant {
     Discordant { new: missing(after, before).count() as u64, fixed: missing(before, after).count() as u64 }
 }
 
@@ -198,7 +200,7 @@ mod tests {
 
     use super::*;
 
-    fn standing(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> Standing {
+    fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> Standing {
         Standing {
             paper: paper.iter().map(|&name| name.to_owned()).collect(),
             nominal: nominal.to_vec(),
@@ -231,7 +233,7 @@ mod tests {
     #[test]
     fn one_space_cannot_be_traded_for_another() {
         let in_spaces = |high_risk: &[u64], of_no_use: &[u64]| {
-            let space = |name: &str, contacts: &[u64], of_no_use| InSpace {
+            let space = |name: &str, contacts: &[u64], of_no_use| RegressionSpaceResult {
                 space: name.to_owned(),
                 draws: 100,
                 contacts: contacts.to_vec(),
@@ -259,7 +261,7 @@ mod tests {
         #[test]
         fn changes_add_up(before in proptest::collection::btree_set(0..40_u64, 0..20), after in proptest::collection::btree_set(0..40_u64, 0..20)) {
             let lists = [before, after].map(|set| set.into_iter().collect::<Vec<_>>());
-            let change = Change::between(&lists[0], &lists[1]);
+            let change = FailureChange::between(&lists[0], &lists[1]);
             prop_assert_eq!(change.before - change.fixed, change.after - change.regressed);
             let accepted = rule(&standing(&[], &lists[0], &[]), &standing(&[], &lists[1], &[])).is_accepted();
             prop_assert_eq!(accepted, change.regressed == 0);

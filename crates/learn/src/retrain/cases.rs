@@ -22,7 +22,7 @@ pub struct Cases {
     /// SHA-256 over the JSON of all cases, counterexamples first.
     pub scenarios_sha256: String,
     /// Draws of the space, round by round.
-    pub draws: Vec<TouchedDraws>,
+    pub draws: Vec<CollidingDraws>,
     /// Counterexamples of the searches, shrunk.
     pub counterexamples: Vec<ScenarioSpec>,
 }
@@ -30,7 +30,7 @@ pub struct Cases {
 /// Draws of one seed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TouchedDraws {
+pub struct CollidingDraws {
     /// Round that found them.
     pub round: u64,
     /// Seed of the draws.
@@ -41,7 +41,7 @@ pub struct TouchedDraws {
 
 impl Cases {
     /// No cases yet.
-    pub(super) fn none(space: &Space) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &Space) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
@@ -64,10 +64,10 @@ impl Cases {
     }
 
     /// These and those of another round.
-    pub(super) fn extended(
+    pub(super) fn with_round(
         mut self,
         space: &Space,
-        draws: TouchedDraws,
+        draws: CollidingDraws,
         counterexamples: Vec<ScenarioSpec>,
     ) -> Result<Self, RetrainError> {
         self.draws.push(draws);

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::files::{add, read_json, write_json};
-use super::progress::{RetrainingProgress, Watch};
+use super::progress::{RetrainingProgress, RetrainingObserver};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::work::{Work, WorkError};
@@ -22,9 +22,9 @@ use crumple_world::sim::{
 pub const CORPUS_VERSION: u32 = 1;
 
 /// Draws that are classed together, at most.
-const BLOCK: u64 = 500;
+const BATCH_SIZE: u64 = 500;
 /// A space of which less than this share can be avoided is given up, once that many have been looked at.
-const LEAST_SHARE: f64 = 0.01;
+const MIN_AVOIDABLE_SHARE: f64 = 0.01;
 
 /// The avoidable ones among the first draws of a space by one seed. Nearly all are, so the others are listed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,7 +52,7 @@ pub struct Corpus {
 
 impl Corpus {
     /// An empty one.
-    pub(super) fn begin(space: &Space, seed: u64) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &Space, seed: u64) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
@@ -84,7 +84,7 @@ impl Corpus {
 
     /// Classes the next draws, as long as fewer than `wanted` are avoidable, and tells `seen` what each witness did in each
     /// of those that are.
-    pub(super) fn grow(
+    pub(super) fn classify_next(
         &mut self,
         space: &Space,
         wanted: u64,
@@ -125,13 +125,13 @@ impl Corpus {
     }
 
     /// The corpus in a file, gathered first if it is not there or not complete.
-    pub(super) fn at(
+    pub(super) fn load_or_build(
         (work, name): (&Work, &'static str),
         space: &Space,
         (seed, wanted): (u64, u64),
         witnesses: &[NamedController],
         estimator: EstimatorKind,
-        watch: &Watch<'_>,
+        watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::begin(space, seed)?;
         if let Some(found) = read_json::<Self>(work, name)? {
@@ -155,15 +155,15 @@ impl Corpus {
 }
 
 /// Class of each draw, and what became of it with each witness.
-type Classed = (AvoidabilityClass, Vec<Option<Contact>>);
+type ClassifiedDraw = (AvoidabilityClass, Vec<Option<Contact>>);
 
-fn class(
+fn classify_draws(
     space: &Space,
     seed: u64,
     range: Range<u64>,
     witnesses: &[NamedController],
     estimator: EstimatorKind,
-) -> Result<Vec<Classed>, RetrainError> {
+) -> Result<Vec<ClassifiedDraw>, RetrainError> {
     let scenarios = range.map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
@@ -176,15 +176,15 @@ fn class(
 }
 
 /// Classes of scenarios: what a witness has survived is avoidable; of the others convex programming says it.
-pub(super) fn classes(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
+pub(super) fn classify_scenarios(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
     let class = |(scenario, &survived): (&Scenario, &bool)| {
-        if survived { AvoidabilityClass::Avoidable } else { Avoidability::of_contact(scenario).class() }
+        if survived { AvoidabilityClass::Avoidable } else { Avoidability::classify_contact(scenario).class() }
     };
     scenarios.par_iter().zip(survived).map(class).collect()
 }
 
 /// The first contact of each run, if there is one.
-pub(super) fn drive(
+pub(super) fn first_contacts(
     scenarios: &[Scenario],
     controller: &ControllerKind,
     estimator: EstimatorKind,

@@ -18,7 +18,7 @@ pub enum RetrainError {
     Disk(#[from] DiskError),
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    RunFolder(#[from] WorkError),
     /// The folder holds another retraining.
     #[error("{0}")]
     Folder(String),
@@ -26,7 +26,7 @@ pub enum RetrainError {
     #[error(
         "of the first {draws} draws of the space `{space}` only {avoidable} could be avoided, and {wanted} are needed"
     )]
-    Hopeless {
+    TooFewAvoidable {
         /// Name of the space.
         space: String,
         /// Draws that were classed.
@@ -40,7 +40,7 @@ pub enum RetrainError {
     #[error(
         "the policy `{policy}` and the training preset `{preset}` differ in {what}: use a preset that says what the policy file does"
     )]
-    OtherPolicy {
+    PolicyMismatch {
         /// The policy.
         policy: String,
         /// Name of the preset.

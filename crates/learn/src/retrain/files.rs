@@ -8,17 +8,17 @@ use crumple_core::digest::Sha256;
 use crumple_store::work::{Work, WorkError};
 use crumple_world::scenario::Scenario;
 
-pub(super) const REPORT: &str = "report.json";
-pub(super) const TEXT: &str = "report.md";
-pub(super) const PICTURE: &str = "report.svg";
+pub(super) const REPORT_JSON: &str = "report.json";
+pub(super) const REPORT_MARKDOWN: &str = "report.md";
+pub(super) const REPORT_SVG: &str = "report.svg";
 /// The record of a round, which completes it.
-pub(super) const RECORD: &str = "round.json";
+pub(super) const ROUND_RECORD: &str = "round.json";
 /// The files of the results.
 pub(super) const POLICY: &str = "policy.safetensors";
-pub(super) const RETRAINED_ON: &str = "retrained-on.json";
-pub(super) const JUDGED_ON: &str = "judged-on.json";
-pub(super) const KEPT_ASIDE: &str = "kept-aside.json";
-pub(super) const SELECTION: &str = "selection.json";
+pub(super) const TRAINING_CASES: &str = "retrained-on.json";
+pub(super) const TEST_SET: &str = "judged-on.json";
+pub(super) const VALIDATION_SET: &str = "kept-aside.json";
+pub(super) const SELECTION_SET: &str = "selection.json";
 /// The file of the learner on its way.
 pub(super) const LEARNER: &str = "learner.safetensors";
 /// The list of checkpoints while a training is under way.
@@ -35,7 +35,7 @@ pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>
     Ok(digest.hexadecimal())
 }
 
-pub(super) fn add(digest: &mut Sha256, scenario: &Scenario) -> Result<(), RetrainError> {
+pub(super) fn hash_scenario(digest: &mut Sha256, scenario: &Scenario) -> Result<(), RetrainError> {
     digest.update(serde_json::to_string(scenario.spec()).map_err(RetrainError::encoding)?);
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{JUDGED_ON, KEPT_ASIDE, PICTURE, PLAN, POLICY, REPORT, RETRAINED_ON, SELECTION, TEXT};
+use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, PLAN, POLICY, REPORT, TRAINING_CASES, SELECTION_SET, TEXT};
 use super::report::Report;
 use crumple_store::difference;
 use crumple_store::work::{Asked, Work, WorkError};
@@ -27,13 +27,13 @@ pub const RETRAIN_VERSION: u32 = 1;
 #[derive(Debug, Clone)]
 pub struct RetrainingPlan {
     /// The policy to begin with.
-    pub first: Arc<Policy>,
+    pub initial_policy: Arc<Policy>,
     /// What it is called: a built-in name or a path.
-    pub first_name: String,
+    pub initial_policy_name: String,
     /// Where failures are looked for.
     pub space: Space,
     /// Spaces in none of which a round may make the policy worse, each with a name of its own.
-    pub regression: Vec<Space>,
+    pub regression_spaces: Vec<Space>,
     /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
     /// distribution, and its ranking draws are avoidable draws of the space; its own spaces are not drawn from.
     pub training: TrainingConfig,
@@ -42,15 +42,15 @@ pub struct RetrainingPlan {
     /// Seed of searches and trainings.
     pub seed: u64,
     /// How much of everything.
-    pub settings: Settings,
+    pub settings: RetrainingSettings,
     /// Draws the report's picture, an SVG, to which its text refers.
-    pub picture: fn(&Report) -> String,
+    pub render_svg: fn(&Report) -> String,
 }
 
 /// How much of everything.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Settings {
+pub struct RetrainingSettings {
     /// Rounds at most.
     pub rounds: u64,
     /// Episodes of training in a round.
@@ -60,21 +60,23 @@ pub struct Settings {
     /// Draws of the space that a round's search drives beside.
     pub draws: u64,
     /// Avoidable draws kept aside, which accept or reject a round.
-    pub kept_aside: u64,
+    #[serde(rename = "kept_aside")]
+    pub validation_draws: u64,
     /// Draws of the paper's distribution, likewise.
     pub nominal: u64,
     /// Draws of each regression space, likewise.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub regression: u64,
     /// Avoidable draws on which the result is judged at the end.
-    pub judged: u64,
+    #[serde(rename = "judged")]
+    pub test_draws: u64,
     /// Share of the training episodes that are drawn from the paper's distribution.
     pub nominal_share: f64,
     /// Share of the others that drive one of the cases kept; the rest are draws of the space.
     pub case_share: f64,
 }
 
-impl Default for Settings {
+impl Default for RetrainingSettings {
     fn default() -> Self {
         Self {
             rounds: 3,
@@ -116,30 +118,30 @@ struct PlanFile<'a> {
     policy_sha256: String,
     method: &'a str,
     seed: u64,
-    settings: Settings,
+    settings: RetrainingSettings,
     training: &'a TrainingConfig,
     space: &'a SpaceSpec,
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    regression: Vec<NamedHash<'a>>,
+    regression: Vec<SpaceHash<'a>>,
 }
 
 /// A space by name and hash.
 #[derive(Serialize)]
-struct NamedHash<'a> {
+struct SpaceHash<'a> {
     space: &'a str,
     sha256: String,
 }
 
 /// Seeds of the sets of draws that are the same for every retraining in a space, so that results can be compared.
 pub(super) const SELECTION_SEED: u64 = 0x0073_656c_6563_7465;
-pub(super) const KEPT_ASIDE_SEED: u64 = 0x006b_6570_7461_7364;
-pub(super) const JUDGED_SEED: u64 = 0x006a_7564_6765_6420;
+pub(super) const VALIDATION_SET_SEED: u64 = 0x006b_6570_7461_7364;
+pub(super) const TEST_SET_SEED: u64 = 0x006a_7564_6765_6420;
 pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
 pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 
 /// Indices of derived seeds: searches count from one, trainings from the other.
-const SEARCHES: u64 = 1 << 32;
-const TRAININGS: u64 = 2 << 32;
+const SEARCH_SEED_BASE: u64 = 1 << 32;
+const TRAINING_SEED_BASE: u64 = 2 << 32;
 
 impl RetrainingPlan {
     /// What the vehicles under test look through.
@@ -155,7 +157,7 @@ impl RetrainingPlan {
     }
 
     pub(super) fn search_seed(&self, round: u64) -> u64 {
-        derived_seed(self.seed, SEARCHES + round)
+        derived_seed(self.seed, SEARCH_SEED_BASE + round)
     }
 
     pub(super) fn training_seed(&self, round: u64) -> u64 {
@@ -168,7 +170,7 @@ impl RetrainingPlan {
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
         let hash = |space: &Space| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
-        let named = |space| Ok(NamedHash { space: Space::name(space), sha256: hash(space)? });
+        let named = |space| Ok(SpaceHash { space: Space::name(space), sha256: hash(space)? });
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
@@ -193,7 +195,7 @@ impl RetrainingPlan {
     }
 
     /// Whether the policy can be trained on with the preset: what it sees and does must mean the same.
-    pub(super) fn check(&self) -> Result<(), RetrainError> {
+    pub(super) fn check_policy(&self) -> Result<(), RetrainError> {
         let (header, environment) = (self.first.header(), &self.training.environment);
         let interval_s = f64::from(environment.decision_steps) * PAPER_STEP_S;
         let what = if header.observation != environment.observation.scaling() {
@@ -209,18 +211,18 @@ impl RetrainingPlan {
     }
 
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
-    pub(super) fn work(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
+    pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
         let configuration = self.to_toml()?;
         let asked = Asked {
             kind: "retraining",
             configuration: &configuration,
             configuration_file: PLAN,
             resume,
-            outputs: &[PLAN, POLICY, RETRAINED_ON, SELECTION, KEPT_ASIDE, JUDGED_ON, REPORT, TEXT, PICTURE, "rounds/"],
+            outputs: &[PLAN, POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET, REPORT, TEXT, REPORT_SVG, "rounds/"],
         };
         match Work::open(folder, asked) {
             Err(WorkError::OtherConfiguration { path, found, .. }) => {
-                Err(RetrainError::Folder(difference::in_toml(&path, "retraining", &found, &configuration)))
+                Err(RetrainError::Folder(difference::describe_toml(&path, "retraining", &found, &configuration)))
             }
             work => Ok(work?),
         }

@@ -9,7 +9,7 @@ pub enum RetrainingProgress {
     /// Draws are classed for a corpus.
     Gathering {
         /// Corpus file that the scenarios are gathered for.
-        what: &'static str,
+        file: &'static str,
         /// Avoidable ones so far.
         done: u64,
         /// How many are wanted.
@@ -20,10 +20,10 @@ pub enum RetrainingProgress {
         /// Round, from 1.
         round: u64,
         /// Progress of the campaign.
-        state: CampaignProgress,
+        progress: CampaignProgress,
     },
     /// Draws of the space are driven and classed.
-    Drawing {
+    SimulatingDraws {
         /// Round, from 1.
         round: u64,
         /// How many.
@@ -38,14 +38,14 @@ pub enum RetrainingProgress {
         /// Episodes of the round.
         episodes: u64,
         /// Fewest contacts of any checkpoint in the selection.
-        fewest: Option<u64>,
+        fewest_contacts: Option<u64>,
     },
     /// A candidate is judged.
-    Judging {
+    Evaluating {
         /// Round, from 1.
         round: u64,
     },
 }
 
 /// Receives the progress, and may stop the retraining.
-pub(super) type Watch<'a> = dyn Observer<RetrainingProgress> + 'a;
+pub(super) type RetrainingObserver<'a> = dyn Observer<RetrainingProgress> + 'a;

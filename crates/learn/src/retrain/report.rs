@@ -5,10 +5,10 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::acceptance::{Change, discordant};
-use super::files::{JUDGED_ON, KEPT_ASIDE, PICTURE, POLICY, REPORT, RETRAINED_ON, SELECTION, TEXT, to_json};
-use super::judged::{CONFIDENCE, Judged, Pairs, Tally};
+use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, POLICY, REPORT, TRAINING_CASES, SELECTION_SET, TEXT, to_json};
+use super::test_set::{CONFIDENCE, Judged, Pairs, Tally};
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
-use super::regression::SIGNIFICANCE;
+use super::regression_spaces::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
 use super::{RetrainError, Standing};
 use crumple_core::digest::sha256;
@@ -19,9 +19,10 @@ use crumple_store::work::Work;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
-pub enum Ending {
+pub enum RetrainingEnding {
     /// All rounds were made.
-    RoundsSpent,
+    #[serde(rename = "rounds-spent")]
+    RoundsExhausted,
     /// A search found nothing that could have been avoided.
     NothingFound {
         /// That search.
@@ -42,7 +43,7 @@ pub struct FileHash {
 /// The file `report.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Report {
+pub struct RetrainingReport {
     /// Version of the format: 1.
     pub version: u32,
     /// Version of crumple.
@@ -68,13 +69,16 @@ pub struct Report {
     /// The rounds.
     pub rounds: Vec<Round>,
     /// Why there are no more.
-    pub ending: Ending,
+    pub ending: RetrainingEnding,
     /// Where the first policy stands.
-    pub first_standing: Standing,
+    #[serde(rename = "first_standing")]
+    pub first_results: Standing,
     /// Where the retrained one stands.
-    pub retrained_standing: Standing,
+    #[serde(rename = "retrained_standing")]
+    pub retrained_results: Standing,
     /// Avoidable draws on which controllers were judged.
-    pub judged_draws: u64,
+    #[serde(rename = "judged_draws")]
+    pub test_draws: u64,
     /// What each of them did.
     pub tallies: Vec<Tally>,
     /// The two policies on the same draws.
@@ -83,19 +87,19 @@ pub struct Report {
     pub files: Vec<FileHash>,
 }
 
-impl Report {
+impl RetrainingReport {
     pub(super) fn new(
         plan: &RetrainingPlan,
         work: &Work,
         (first_standing, retrained_standing): (Standing, Standing),
         rounds: Vec<Round>,
-        ending: Ending,
+        ending: RetrainingEnding,
         judged: Judged,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
-            Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_present(name)?) })
+            Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_required(name)?) })
         };
-        let files = [POLICY, RETRAINED_ON, SELECTION, KEPT_ASIDE, JUDGED_ON]
+        let files = [POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET]
             .map(hash)
             .into_iter()
             .collect::<Result<Vec<_>, _>>()?;
@@ -129,9 +133,9 @@ impl Report {
     }
 
     /// Writes it into its folder, with its picture.
-    pub(super) fn write(&self, work: &Work, picture: String) -> Result<(), RetrainError> {
+    pub(super) fn write_files(&self, work: &Work, picture: String) -> Result<(), RetrainError> {
         let mut changes = work.changes();
-        changes.write(TEXT, self.to_markdown()).write(PICTURE, picture).write(REPORT, self.to_json()?);
+        changes.write(TEXT, self.to_markdown()).write(REPORT_SVG, picture).write(REPORT, self.to_json()?);
         Ok(changes.commit()?)
     }
 
@@ -146,7 +150,7 @@ impl Report {
     /// How many times rarer contacts are than with the first policy, at least: the lower end of the first policy's interval over
     /// the upper end of the retrained one's. Each end is wrong with a probability of at most half of 5 %, so both hold at 95 %.
     #[must_use]
-    pub(crate) fn factor_at_least(&self) -> Option<f64> {
+    pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
         Some(first.interval(self.judged_draws).lower / retrained.interval(self.judged_draws).upper)
     }
@@ -178,7 +182,7 @@ impl Report {
             self.ended()
         )?;
         out.push_str("## Judged on draws that had no part in it\n\n");
-        self.write_judged(out)?;
+        self.write_test_set(out)?;
         out.push_str("\n## Rounds\n\n![Contacts of every checkpoint](report.svg)\n\n");
         self.write_rounds(out)?;
         writeln!(
@@ -197,19 +201,19 @@ impl Report {
         writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
     }
 
-    fn ended(&self) -> String {
+    fn ending_sentence(&self) -> String {
         let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
-            Ending::RoundsSpent => format!("It ended with its last round: {made}."),
-            Ending::NothingFound { search } => format!(
+            RetrainingEnding::RoundsSpent => format!("It ended with its last round: {made}."),
+            RetrainingEnding::NothingFound { search } => format!(
                 "It ended because a search of {} evaluations and {} draws found nothing that could have been avoided: {made}.",
                 search.evaluations, search.draws
             ),
         }
     }
 
-    fn write_judged(&self, out: &mut String) -> std::fmt::Result {
+    fn write_test_set(&self, out: &mut String) -> std::fmt::Result {
         let runs = self.judged_draws;
         writeln!(
             out,
@@ -237,7 +241,7 @@ impl Report {
             "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {retrained_only} are new; {neither} draws \
              are safe with both. All draws could have been avoided by somebody."
         )?;
-        match self.factor_at_least() {
+        match self.min_improvement_factor() {
             Some(factor) if factor > 1.0 => {
                 writeln!(out, "Contacts are at least {factor:.2} times rarer than with the first policy, at 95 %.")
             }

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::acceptance::{Acceptance, Change, RejectionReason, rule};
-use super::cases::{Cases, TouchedDraws};
+use super::cases::{Cases, CollidingDraws};
 use super::corpus::{Corpus, classes, drive};
-use super::files::{LEARNER, RECORD, SELECTION, read_json, write_json};
-use super::judged::witnesses;
+use super::files::{LEARNER, RECORD, SELECTION_SET, read_json, write_json};
+use super::test_set::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
-use super::progress::{RetrainingProgress, Watch};
-use super::regression::Regression;
+use super::progress::{RetrainingProgress, RetrainingObserver};
+use super::regression_spaces::RegressionSpaces;
 use super::{RetrainError, Standing};
 use crate::rl::TrainingError;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
@@ -38,9 +38,11 @@ pub struct RoundFindings {
     /// Draws of the space that were driven beside.
     pub draws: u64,
     /// Those that ended in contact.
-    pub draws_touched: usize,
+    #[serde(rename = "draws_touched")]
+    pub colliding_draws: usize,
     /// Those of them that a driver could have avoided.
-    pub draws_avoidable: TouchedDraws,
+    #[serde(rename = "draws_avoidable")]
+    pub avoidable_draws: CollidingDraws,
     /// The avoidable counterexamples, as scenarios.
     pub counterexamples: Vec<String>,
 }
@@ -48,7 +50,7 @@ pub struct RoundFindings {
 /// How a round trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Trained {
+pub struct RoundTraining {
     /// Seed of the learner. It goes on from round to round, unless a training diverges.
     pub seed: u64,
     /// Episodes it had done before the round.
@@ -80,17 +82,20 @@ pub struct Round {
     /// SHA-256 of the policy that was searched for failures.
     pub before_sha256: String,
     /// What the search found.
-    pub found: RoundFindings,
+    #[serde(rename = "found")]
+    pub findings: RoundFindings,
     /// Cases trained on: those of all rounds so far.
     pub cases: usize,
     /// The training.
-    pub trained: Trained,
+    #[serde(rename = "trained")]
+    pub training: RoundTraining,
     /// SHA-256 of the candidate; none if the training diverged.
     pub candidate_sha256: Option<String>,
     /// Contacts in all cases, before and after.
     pub in_cases: Change,
     /// In draws kept aside.
-    pub in_kept_aside: Change,
+    #[serde(rename = "in_kept_aside")]
+    pub in_validation_set: Change,
     /// In the paper's scenarios, through the filter and with the true state.
     pub in_paper: Change,
     /// In draws of the paper's distribution.
@@ -104,25 +109,25 @@ pub struct Round {
 /// What a round starts from.
 pub(super) struct RoundContext<'a> {
     pub(super) plan: &'a RetrainingPlan,
-    pub(super) work: &'a Work,
-    pub(super) kept_aside: &'a Corpus,
-    pub(super) selection: &'a Corpus,
-    pub(super) regression: &'a Regression,
+    pub(super) run_folder: &'a Work,
+    pub(super) validation_set: &'a Corpus,
+    pub(super) selection_set: &'a Corpus,
+    pub(super) regression_spaces: &'a RegressionSpaces,
     pub(super) policy: Arc<Policy>,
-    pub(super) standing: Standing,
+    pub(super) results: Standing,
     pub(super) cases: Cases,
-    pub(super) last: Option<&'a Round>,
+    pub(super) previous_round: Option<&'a Round>,
 }
 
 /// The file of a candidate.
 const CANDIDATE: &str = "candidate.safetensors";
 /// What the search found.
-const FOUND: &str = "found.json";
+const FINDINGS: &str = "found.json";
 /// The folder of the search.
 const SEARCH: &str = "search";
 
 /// Where a file of a round is in the folder of the retraining.
-pub(super) fn in_round(round: u64, name: &str) -> String {
+pub(super) fn round_path(round: u64, name: &str) -> String {
     format!("rounds/{round:02}/{name}")
 }
 
@@ -130,7 +135,7 @@ impl Round {
     /// The candidate that was judged, and no other.
     pub(super) fn candidate(&self, work: &Work) -> Result<Policy, RetrainError> {
         let name = in_round(self.round, CANDIDATE);
-        let candidate = Policy::from_bytes(&work.read_present(&name)?)?;
+        let candidate = Policy::from_bytes(&work.read_required(&name)?)?;
         if self.candidate_sha256.as_ref() != Some(&candidate.digest()) {
             let problem = format!("not the policy that {RECORD} judges");
             return Err(WorkError::Damaged { path: work.path(&name), problem }.into());
@@ -140,18 +145,18 @@ impl Round {
 }
 
 impl RoundContext<'_> {
-    pub(super) fn number(&self) -> u64 {
+    pub(super) fn round_number(&self) -> u64 {
         self.last.map_or(1, |last| last.round + 1)
     }
 
     /// Where a file of this round is in the folder of the retraining.
-    pub(super) fn name(&self, name: &str) -> String {
+    pub(super) fn path(&self, name: &str) -> String {
         in_round(self.number(), name)
     }
 
     /// Searches for failures; all that was kept is in the result.
-    pub(super) fn search(&self, watch: &Watch<'_>) -> Result<RoundFindings, RetrainError> {
-        if let Some(found) = read_json(self.work, &self.name(FOUND))? {
+    pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
+        if let Some(found) = read_json(self.work, &self.name(FINDINGS))? {
             return Ok(found);
         }
         self.work.write(&self.name("before.safetensors"), self.policy.to_bytes()?)?;
@@ -192,12 +197,12 @@ impl RoundContext<'_> {
             draws_avoidable,
             counterexamples,
         };
-        write_json(self.work, &self.name(FOUND), &found)?;
+        write_json(self.work, &self.name(FINDINGS), &found)?;
         Ok(found)
     }
 
     /// Draws that end in contact: how many, and which of them could have been avoided.
-    fn draws(&self, watch: &Watch<'_>) -> Result<(usize, TouchedDraws), RetrainError> {
+    fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
         let (plan, round) = (self.plan, self.number());
         let seed = plan.search_seed(round);
         watch.notify(&RetrainingProgress::Drawing { round, draws: plan.settings.draws })?;
@@ -213,11 +218,11 @@ impl RoundContext<'_> {
         let classes = classes(&touched, &survived);
         let avoidable = indices.into_iter().zip(classes).filter(|(_, class)| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
-        Ok((touched.len(), TouchedDraws { round, seed, indices }))
+        Ok((touched.len(), CollidingDraws { round, seed, indices }))
     }
 
     /// The cases so far and those of this round.
-    pub(super) fn cases_with(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
+    pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.work.path(&self.name(SEARCH));
         let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
         let counterexamples: Vec<ScenarioSpec> = found
@@ -230,14 +235,14 @@ impl RoundContext<'_> {
     }
 
     /// Trains on, judges and decides; leaves the record of the round behind.
-    pub(super) fn finish(&self, found: RoundFindings, cases: &Cases, watch: &Watch<'_>) -> Result<Round, RetrainError> {
+    pub(super) fn finish(&self, found: RoundFindings, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<Round, RetrainError> {
         let scenarios = cases.scenarios(&self.plan.space)?;
         let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
                 self.work.changes().remove(&self.name(LEARNER)).commit()?;
-                let (seed, from_episode) = self.learner_from();
-                let trained = Trained { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
+                let (seed, from_episode) = self.learner_start();
+                let trained = RoundTraining { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
                 (trained, None, Some(diverged.to_string()))
             }
             Err(other) => return Err(other),
@@ -280,16 +285,16 @@ impl RoundContext<'_> {
 }
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn selection(plan: &RetrainingPlan, work: &Work, watch: &Watch<'_>) -> Result<Corpus, RetrainError> {
-    gathered(plan, work, (SELECTION, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
+pub(super) fn load_selection_set(plan: &RetrainingPlan, work: &Work, watch: &RetrainingObserver<'_>) -> Result<Corpus, RetrainError> {
+    gathered(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
 }
 
 /// A corpus of the plan in its file.
-pub(super) fn gathered(
+pub(super) fn load_corpus(
     plan: &RetrainingPlan,
     work: &Work,
     (name, seed, wanted): (&'static str, u64, u64),
-    watch: &Watch<'_>,
+    watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
     let first =
         NamedController { name: plan.first_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.first)) };

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use super::cases::Cases;
 use super::files::{
-    CHECKPOINTS, JUDGED_ON, KEPT_ASIDE, LEARNER, PLAN, POLICY, RECORD, REPORT, RETRAINED_ON, read_json, write_json,
+    CHECKPOINTS, TEST_SET, VALIDATION_SET, LEARNER, PLAN, POLICY, RECORD, REPORT, TRAINING_CASES, read_json, write_json,
 };
-use super::judged::{Judged, witnesses};
-use super::plan::{KEPT_ASIDE_SEED, RetrainingPlan};
+use super::test_set::{Judged, witnesses};
+use super::plan::{VALIDATION_SET_SEED, RetrainingPlan};
 use super::progress::RetrainingProgress;
-use super::regression::Regression;
+use super::regression_spaces::RegressionSpaces;
 use super::report::{Ending, Report};
 use super::round::{Round, RoundContext, RoundFindings, gathered, in_round, selection};
 use super::{RetrainError, Standing};
@@ -20,7 +20,7 @@ use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// What the policy at the end is called in tables.
-const RETRAINED: &str = "retrained";
+const RETRAINED_NAME: &str = "retrained";
 
 impl RetrainingPlan {
     /// Runs the retraining in `folder`, or continues it with `resume`; of a complete one, reads the report.
@@ -42,10 +42,10 @@ impl RetrainingPlan {
         }
         work.write(PLAN, self.to_toml()?)?;
         let wanted = self.settings.kept_aside;
-        let kept_aside = gathered(self, &work, (KEPT_ASIDE, KEPT_ASIDE_SEED, wanted), watch)?;
+        let kept_aside = gathered(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
         let selection = selection(self, &work, watch)?;
         let mut policy = Arc::clone(&self.first);
-        let regression = Regression::new(self)?;
+        let regression = RegressionSpaces::new(self)?;
         let first = Standing::of(&policy, self, &kept_aside, &regression)?;
         let mut standing = first.clone();
         let mut cases = Cases::none(&self.space)?;
@@ -69,7 +69,7 @@ impl RetrainingPlan {
             if found.is_nothing() {
                 break Ending::NothingFound { search: Box::new(found) };
             }
-            cases = before.cases_with(&found)?;
+            cases = before.extended_cases(&found)?;
             let number = rounds.len() as u64 + 1;
             let round: Round = match read_json(&work, &before.name(RECORD))? {
                 Some(round) => round,
@@ -84,13 +84,13 @@ impl RetrainingPlan {
         };
         let last = in_round(rounds.len() as u64, LEARNER);
         work.changes().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
-        write_json(&work, RETRAINED_ON, &cases)?;
+        write_json(&work, TRAINING_CASES, &cases)?;
         let contender = |name: &str, policy: &Arc<Policy>| NamedController {
             name: name.to_owned(),
             kind: ControllerKind::Policy(Arc::clone(policy)),
         };
         let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(RETRAINED, &policy)]);
-        let judged = Judged::at((&work, JUDGED_ON), self, &contenders, watch)?;
+        let judged = Judged::at((&work, TEST_SET), self, &contenders, watch)?;
         let report = Report::new(self, &work, (first, standing), rounds, ending, judged)?;
         report.write(&work, (self.picture)(&report))?;
         work.finish()?;
@@ -99,7 +99,7 @@ impl RetrainingPlan {
 }
 
 impl RoundFindings {
-    fn is_nothing(&self) -> bool {
+    fn is_empty(&self) -> bool {
         self.avoidable == 0 && self.draws_avoidable.indices.is_empty()
     }
 }

@@ -5,17 +5,17 @@ use std::sync::Arc;
 use super::RetrainError;
 use super::cases::Cases;
 use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
-use super::progress::{RetrainingProgress, Watch};
+use super::progress::{RetrainingProgress, RetrainingObserver};
 use super::round::{Checkpoint, RoundContext, Trained, in_round};
 use crate::rl::{
-    Blend, Event, HeldOut, Mixed, PaperDraws, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_recorded,
+    Blend, Event, EvaluationSet, Mixed, PaperSource, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_recorded,
 };
 use crumple_store::work::WorkError;
 use crumple_world::policy::Policy;
 
 impl RoundContext<'_> {
     /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
-    pub(super) fn learner_from(&self) -> (u64, u64) {
+    pub(super) fn learner_start(&self) -> (u64, u64) {
         match self.last {
             Some(last) if last.trained.to_episode > 0 => (last.trained.seed, last.trained.to_episode),
             _ => (self.plan.training_seed(self.number()), 0),
@@ -23,15 +23,15 @@ impl RoundContext<'_> {
     }
 
     /// What a round draws its episodes from.
-    fn source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
+    fn scenario_source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
         let (space, settings) = (&self.plan.space, &self.plan.settings);
         let mixed = Mixed::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
-        Ok(Arc::new(Blend::new(Arc::new(PaperDraws), settings.nominal_share, Arc::new(mixed))))
+        Ok(Arc::new(Blend::new(Arc::new(PaperSource), settings.nominal_share, Arc::new(mixed))))
     }
 
     /// The learner as it goes into the round, or as it was when it was interrupted.
-    fn learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
-        let (seed, from_episode) = self.learner_from();
+    fn load_learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
+        let (seed, from_episode) = self.learner_start();
         let episodes = from_episode + self.plan.settings.episodes;
         let config = self.plan.training_until(episodes);
         let source = self.source(cases)?;
@@ -45,10 +45,10 @@ impl RoundContext<'_> {
             return Ok((taken_up(&name, &bytes, source)?, from_episode));
         }
         let Some(last) = self.last.filter(|_| from_episode > 0) else {
-            return Ok((Trainer::with_source(&config, seed, source).from_policy(&self.policy), from_episode));
+            return Ok((Trainer::with_source(&config, seed, source).with_initial_policy(&self.policy), from_episode));
         };
         let name = in_round(last.round, LEARNER);
-        let mut trainer = taken_up(&name, &self.work.read_present(&name)?, self.source(&self.cases)?)?;
+        let mut trainer = taken_up(&name, &self.work.read_required(&name)?, self.source(&self.cases)?)?;
         if trainer.episode() != from_episode {
             let problem = format!("of episode {}, and its round ended with {from_episode}", trainer.episode());
             return Err(WorkError::Damaged { path: self.work.path(&name), problem }.into());
@@ -57,11 +57,11 @@ impl RoundContext<'_> {
         Ok((trainer, from_episode))
     }
 
-    pub(super) fn train(&self, cases: &Cases, watch: &Watch<'_>) -> Result<(Trained, Policy), RetrainError> {
+    pub(super) fn train(&self, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<(Trained, Policy), RetrainError> {
         let (mut trainer, from_episode) = self.learner(cases)?;
         let environment = &self.plan.training.environment;
         let selection = self.selection.scenarios(&self.plan.space)?;
-        let held_out = HeldOut::new(&self.plan.training.evaluation, environment).with_ranking(selection);
+        let held_out = EvaluationSet::new(&self.plan.training.evaluation, environment).with_ranking(selection);
         let mut checkpoints: Vec<Checkpoint> = read_json(self.work, &self.name(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
         let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, watch };
@@ -79,10 +79,10 @@ impl RoundContext<'_> {
 
 /// Writes down how a training goes.
 struct CheckpointWriter<'a, 'b, 'c> {
-    before: &'a RoundContext<'b>,
+    context: &'a RoundContext<'b>,
     from_episode: u64,
     checkpoints: Vec<Checkpoint>,
-    watch: &'a Watch<'c>,
+    observer: &'a RetrainingObserver<'c>,
 }
 
 impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {

@@ -2,7 +2,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::InSimd;
+use crumple_world::policy::SimdClosure;
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
@@ -11,8 +11,8 @@ const EPSILON: f32 = 1e-8;
 /// The moments of one network's gradients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
-    pub(crate) first: Vec<f32>,
-    pub(crate) second: Vec<f32>,
+    pub(crate) first_moment: Vec<f32>,
+    pub(crate) second_moment: Vec<f32>,
     pub(crate) steps: u64,
 }
 
@@ -33,7 +33,7 @@ impl Adam {
         let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
         let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
-        Arch::new().dispatch(InSimd(
+        Arch::new().dispatch(SimdClosure(
             #[inline(always)]
             || {
                 let n = parameters.len();

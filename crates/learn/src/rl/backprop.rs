@@ -5,16 +5,16 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::{InSimd, Left, Network, Panels, Right, multiply_vector};
+use crumple_world::policy::{SimdClosure, Left, Network, PackedPanels, Right, multiply_vector};
 
 /// What a forward pass leaves for the backward pass, and working space for both.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tape {
     /// The input, then every layer's output.
-    values: Vec<Vec<f32>>,
+    activations: Vec<Vec<f32>>,
     delta: Vec<f32>,
-    below: Vec<f32>,
-    panels: Panels,
+    delta_below: Vec<f32>,
+    panels: PackedPanels,
 }
 
 impl Tape {
@@ -54,7 +54,7 @@ impl Tape {
     }
 
     /// Takes δ from the output down to the first layer's outputs.
-    fn descend(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
+    fn backpropagate(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
         let Self { values, delta, below, panels } = self;
         delta.clear();
         delta.extend_from_slice(output_gradient);
@@ -66,8 +66,8 @@ impl Tape {
                 if n == 1 {
                     weighted_row_sum(input, delta, &mut gradients[layer.weights()]);
                 } else {
-                    panels.pack_together(Right::Rows(delta), None, [batch, n]);
-                    panels.multiply_together(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
+                    panels.pack_parallel(Right::Rows(delta), None, [batch, n]);
+                    panels.multiply_parallel(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
                 }
                 row_sum(delta, &mut gradients[layer.biases()]);
             }
@@ -75,11 +75,11 @@ impl Tape {
                 let weights = &network.parameters()[layer.weights()];
                 below.resize(batch * m, 0.0);
                 if n == 1 {
-                    outer_where_positive(delta, weights, input, below);
+                    outer_product_relu_backward(delta, weights, input, below);
                 } else {
-                    panels.pack_together(Right::Columns(weights), None, [n, m]);
-                    panels.multiply_together(Left::Rows(delta), batch, false, below);
-                    where_positive(input, below);
+                    panels.pack_parallel(Right::Columns(weights), None, [n, m]);
+                    panels.multiply_parallel(Left::Rows(delta), batch, false, below);
+                    relu_backward(input, below);
                 }
                 std::mem::swap(delta, below);
             }
@@ -89,7 +89,7 @@ impl Tape {
 
 /// Σ over rows of factor · row.
 fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(InSimd(
+    Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
             out.fill(0.0);
@@ -103,7 +103,7 @@ fn weighted_row_sum(rows: &[f32], factors: &[f32], out: &mut [f32]) {
 }
 
 fn row_sum(rows: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(InSimd(
+    Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
             out.fill(0.0);
@@ -117,8 +117,8 @@ fn row_sum(rows: &[f32], out: &mut [f32]) {
 }
 
 /// Row b of `out` becomes factor b times `row`, and 0 where `gate` is not positive.
-fn outer_where_positive(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(InSimd(
+fn outer_product_relu_backward(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
             let rows = out.chunks_exact_mut(row.len()).zip(gate.chunks_exact(row.len()));
@@ -132,8 +132,8 @@ fn outer_where_positive(factors: &[f32], row: &[f32], gate: &[f32], out: &mut [f
 }
 
 /// Sets `out` to 0 where `gate` is not positive.
-fn where_positive(gate: &[f32], out: &mut [f32]) {
-    Arch::new().dispatch(InSimd(
+fn relu_backward(gate: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
             for (out, &gate) in out.iter_mut().zip(gate) {

@@ -15,15 +15,15 @@ use super::replay::Replay;
 use super::source::ScenarioSource;
 use super::trainer::{Best, Trainer, TrainingError};
 use crumple_core::digest::Sha256;
-use crumple_store::program::{self, OTHER_BUILD};
+use crumple_store::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_world::policy::Network;
 
-const KEY: &str = "crumple_training";
+const METADATA_KEY: &str = "crumple_training";
 
 /// What a checkpoint says beside its arrays.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Header {
+struct CheckpointHeader {
     version: u32,
     /// The program that wrote it: another one may train differently, and a training that goes on must go on as it began.
     program: String,
@@ -44,7 +44,7 @@ struct Header {
 
 const VERSION: u32 = 3;
 
-impl Header {
+impl CheckpointHeader {
     fn digest<'a, B: AsRef<[u8]>>(&self, arrays: impl Iterator<Item = (&'a str, B)>) -> Result<String, TrainingError> {
         let mut digest = Sha256::default();
         digest.update(serde_json::to_string(self).map_err(broken)?);
@@ -87,16 +87,16 @@ impl View for Array<'_> {
 }
 
 /// Refuses what another build wrote, whatever else its header says.
-fn check_origin(text: &str) -> Result<(), TrainingError> {
+fn check_build(text: &str) -> Result<(), TrainingError> {
     let header: serde_json::Value = serde_json::from_str(text).map_err(broken)?;
     let field = |name| header.get(name).cloned().unwrap_or_default();
     if field("version") != VERSION || field("program") != program::identity()? {
-        return Err(broken(OTHER_BUILD));
+        return Err(broken(OTHER_BUILD_MESSAGE));
     }
     Ok(())
 }
 
-fn broken(problem: impl std::fmt::Display) -> TrainingError {
+fn checkpoint_error(problem: impl std::fmt::Display) -> TrainingError {
     TrainingError::Checkpoint(problem.to_string())
 }
 
@@ -106,8 +106,8 @@ impl Trainer {
     /// # Errors
     /// [`TrainingError::Checkpoint`] in principle, if the writers fail.
     pub(crate) fn to_checkpoint(&self) -> Result<Vec<u8>, TrainingError> {
-        let (stored, replay) = self.replay.as_numbers();
-        let mut header = Header {
+        let (stored, replay) = self.replay.as_raw_parts();
+        let mut header = CheckpointHeader {
             version: VERSION,
             program: program::identity()?.to_owned(),
             sha256: String::new(),
@@ -161,8 +161,8 @@ impl Trainer {
         let (_, container) = SafeTensors::read_metadata(bytes).map_err(broken)?;
         let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
         let text = text.ok_or_else(|| broken("this is no checkpoint of a training"))?;
-        check_origin(text)?;
-        let mut header: Header = serde_json::from_str(text).map_err(broken)?;
+        check_build(text)?;
+        let mut header: CheckpointHeader = serde_json::from_str(text).map_err(broken)?;
         let arrays = SafeTensors::deserialize(bytes).map_err(broken)?;
         let written = std::mem::take(&mut header.sha256);
         let mut found: Vec<_> = arrays.iter().map(|(name, view)| (name, view.data())).collect();
@@ -188,7 +188,7 @@ impl Trainer {
         }
         let mut trainer = Self::with_source(config, seed, source);
         let mut adam_steps = header.adam_steps.into_iter();
-        for (name, part) in trainer.parts_mut() {
+        for (name, part) in trainer.named_networks_mut() {
             read(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
             read(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
             read(&arrays, &format!("{name}.first"), &mut part.adam.first)?;
@@ -215,18 +215,18 @@ impl Trainer {
         Ok(trainer)
     }
 
-    fn parts(&self) -> impl Iterator<Item = (String, &Trained)> {
+    fn named_networks(&self) -> impl Iterator<Item = (String, &Trained)> {
         let critics = self.learner.critics.iter().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &self.learner.actor)).chain(critics)
     }
 
-    fn parts_mut(&mut self) -> impl Iterator<Item = (String, &mut Trained)> {
+    fn named_networks_mut(&mut self) -> impl Iterator<Item = (String, &mut Trained)> {
         let critics = self.learner.critics.iter_mut().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &mut self.learner.actor)).chain(critics)
     }
 }
 
-fn numbers(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
+fn read_tensor(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
     let view = arrays.tensor(name).map_err(broken)?;
     if view.dtype() != Dtype::F32 {
         return Err(broken(format!("`{name}` must be F32, found {:?}", view.dtype())));
@@ -240,7 +240,7 @@ fn numbers(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingErr
     }
 }
 
-fn read(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
+fn read_tensor_into(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
     let values = numbers(arrays, name)?;
     if values.len() != out.len() {
         return Err(broken(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::blend::{self, SpaceShare};
+use super::space_mixture::{self, SpaceShare};
 use super::config_error::ConfigError;
 use super::costs::CostConfig;
 use super::observation::ObservationConfig;
 use super::replay::Remembered;
-use super::single::single;
+use super::f32_serde::single;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Departure;
@@ -65,7 +65,8 @@ pub struct TrainingConfig {
 #[non_exhaustive]
 pub struct EnvironmentConfig {
     /// Steps of 0.01 s between decisions; 1 in the paper.
-    pub decision_steps: u32,
+    #[serde(rename = "decision_steps")]
+    pub action_repeat: u32,
     /// What the ego looks through.
     pub estimator: EstimatorKind,
     /// Reward of a step without contact; 15 in the paper.
@@ -80,7 +81,8 @@ pub struct EnvironmentConfig {
     pub max_accel_mps2: f64,
     /// The law that actions depart from; without one an action is the acceleration itself, between -7.5 m/s² and the highest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub departs_from: Option<Departure>,
+    #[serde(rename = "departs_from")]
+    pub residual_over: Option<Departure>,
     /// What a step costs beside; nothing in the paper. A policy file that was made without costs states none.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,
@@ -98,7 +100,8 @@ pub enum TimeLimit {
     /// The episode is cut off: life goes on, and the last state has a value.
     Truncation,
     /// Life ends: nothing comes after.
-    End,
+    #[serde(rename = "end")]
+    Termination,
 }
 
 /// Shapes and first weights.
@@ -130,7 +133,8 @@ pub struct LearningConfig {
     pub discount: f64,
     /// Share of the new weights that the targets take on in an update.
     #[serde(deserialize_with = "single")]
-    pub soft_update: f32,
+    #[serde(rename = "soft_update")]
+    pub tau: f32,
     /// Transitions in an update.
     pub batch: usize,
     /// Decisions between updates.
@@ -151,36 +155,37 @@ pub struct LearningConfig {
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rates_fall: Option<RatesFall>,
+    #[serde(rename = "rates_fall")]
+    pub lr_decay: Option<LrDecay>,
 }
 
 impl LearningConfig {
     /// Numbers that critics know besides what the actor sees.
-    pub(super) fn privileged(&self) -> usize {
+    pub(super) fn privileged_width(&self) -> usize {
         if self.privileged_critic { PRIVILEGED } else { 0 }
     }
 }
 
 /// Numbers that a privileged critic sees beside the observation.
-pub(super) const PRIVILEGED: usize = 10;
+pub(super) const PRIVILEGED_WIDTH: usize = 10;
 
 /// Range of the weight of a penalty that is not 0. Less is lost in the rounding of the loss that it is added to.
-pub(super) const PENALTIES: [f64; 2] = [1e-6, 1e3];
+pub(super) const PENALTY_RANGE: [f64; 2] = [1e-6, 1e3];
 
 /// Of the schema: a penalty is none, or one that does something.
 #[cfg(feature = "schema")]
-fn penalties() -> serde_json::Value {
-    let [least, most] = PENALTIES;
+fn penalty_schema() -> serde_json::Value {
+    let [least, most] = PENALTY_RANGE;
     serde_json::json!([{ "minimum": 0, "maximum": 0 }, { "minimum": least, "maximum": most }])
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_not(flag: &bool) -> bool {
+fn is_false(flag: &bool) -> bool {
     !*flag
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_nothing(weight: &f32) -> bool {
+fn is_zero_weight(weight: &f32) -> bool {
     *weight == 0.0
 }
 
@@ -189,17 +194,18 @@ fn is_nothing(weight: &f32) -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct RatesFall {
+pub struct LrDecay {
     /// Episode from which on they fall no further. It does not depend on how many episodes there are, so that a training that goes on
     /// with more of them goes on as it began.
     pub until_episode: u64,
     /// Share of them that is left then.
-    pub to_share: f64,
+    #[serde(rename = "to_share")]
+    pub final_factor: f64,
 }
 
-impl RatesFall {
+impl LrDecay {
     /// Share of the step sizes in an episode, counted from 0, of a training that began with so many random ones.
-    pub(super) fn share(&self, episode: u64, random_episodes: u64) -> f64 {
+    pub(super) fn factor(&self, episode: u64, random_episodes: u64) -> f64 {
         let falling = self.until_episode.saturating_sub(random_episodes).max(1);
         let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
         1.0 + (self.to_share - 1.0) * progress.min(1.0)
@@ -213,7 +219,8 @@ impl RatesFall {
 #[non_exhaustive]
 pub struct ExplorationConfig {
     /// Episodes of uniformly random actions before learning begins: the stage rich in collisions.
-    pub random_episodes: u64,
+    #[serde(rename = "random_episodes")]
+    pub learning_starts_episode: u64,
     /// Steps of 0.01 s for which a random action is held; at least until the next decision. Held longer, random actions
     /// average out less, and more episodes end in contact.
     pub random_hold_steps: u32,
@@ -232,7 +239,8 @@ pub struct ReplayConfig {
     /// Transitions kept; 10 000 in the paper.
     pub capacity: usize,
     /// Share of a batch drawn among transitions that ended in contact, once there are any; 0 draws all alike.
-    pub contact_share: f64,
+    #[serde(rename = "contact_share")]
+    pub collision_fraction: f64,
 }
 
 /// TD3's three changes to DDPG.
@@ -266,13 +274,15 @@ pub struct EvaluationConfig {
     pub ranking_draws: u64,
     /// Held-out draws of the built-in space `traffic`, in which a policy that is ranked must be of use besides; 0 for none.
     #[serde(default, skip_serializing_if = "is_zero")]
-    pub useful_draws: u64,
+    #[serde(rename = "useful_draws")]
+    pub usefulness_draws: u64,
     /// Training ends once a policy survives all of these too and keeps this distance everywhere, in metres; 0 never ends it.
     pub master_gap_m: f64,
     /// Updates over which the policy that is judged and kept is the mean of the actor's weights, the last ones counting most (Polyak
     /// and Juditsky 1992); 0 for the actor as it is. What it tries out and learns from is the actor as it is in any case.
     #[serde(default, skip_serializing_if = "is_zero")]
-    pub mean_over_updates: u64,
+    #[serde(rename = "mean_over_updates")]
+    pub weight_average_updates: u64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
@@ -319,12 +329,12 @@ impl TrainingConfig {
     /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let config: Self = file::parse_toml(text, path).map_err(|error| ConfigError::Text(error.to_string()))?;
-        config.check().map_err(|error| error.in_text(text, path))?;
+        config.check().map_err(|error| error.with_location(text, path))?;
         Ok(config)
     }
 
     /// What is remembered of a decision.
-    pub(super) fn remembered(&self) -> Remembered {
+    pub(super) fn transition_layout(&self) -> Remembered {
         Remembered { state: self.environment.observation.width(), privileged: self.learning.privileged() }
     }
 
@@ -332,8 +342,8 @@ impl TrainingConfig {
     ///
     /// # Errors
     /// [`ConfigError`] if a space cannot be found, read, or trained on.
-    pub fn source(&self) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
-        blend::source(&self.spaces)
+    pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
+        space_mixture::source(&self.spaces)
     }
 }
 
@@ -351,11 +361,11 @@ mod tests {
 
     #[test]
     fn steps_become_smaller_from_the_end_of_the_random_episodes_on() {
-        let fall = RatesFall { until_episode: 300, to_share: 0.2 };
+        let fall = LrDecay { until_episode: 300, to_share: 0.2 };
         for (episode, share) in [(0, 1.0), (100, 1.0), (150, 0.8), (200, 0.6), (300, 0.2), (9000, 0.2)] {
             assert!((fall.share(episode, 100) - share).abs() < 1e-12, "{episode}");
         }
-        assert_eq!(RatesFall { until_episode: 50, to_share: 0.5 }.share(101, 100), 0.5);
+        assert_eq!(LrDecay { until_episode: 50, to_share: 0.5 }.share(101, 100), 0.5);
     }
 
     #[test]

@@ -7,13 +7,13 @@ use crumple_world::scenario::file;
 /// A reason why a configuration cannot be trained with.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum ConfigError {
+pub enum TrainingConfigError {
     /// No such preset.
     #[error("there is no preset `{0}`, and no such file; there are fast, paper, paper-net, road")]
-    Unknown(String),
+    UnknownPreset(String),
     /// A text is none: its file, line and field, and what is wrong.
     #[error("{0}")]
-    Text(String),
+    Located(String),
     /// A field contradicts another, or names what cannot be trained on.
     #[error("{field}: {problem}")]
     Field {
@@ -36,15 +36,15 @@ pub enum ConfigError {
     },
 }
 
-impl ConfigError {
+impl TrainingConfigError {
     /// With the file and the line of its field, and numbers as they are written there: `found` may have been rounded since.
     #[must_use]
-    pub fn in_text(self, text: &str, path: &Path) -> Self {
+    pub fn with_location(self, text: &str, path: &Path) -> Self {
         let (field, said) = match &self {
             Self::Unknown(_) | Self::Text(_) => return self,
             Self::Field { field, .. } => (field, self.to_string()),
             Self::Range { field, low, high, .. } => {
-                let written = file::written_in_toml(text, field);
+                let written = file::raw_toml_value(text, field);
                 let written = written.map(|found| format!("{field}: must be between {low} and {high}, found {found}"));
                 (field, written.unwrap_or_else(|| self.to_string()))
             }
@@ -54,10 +54,10 @@ impl ConfigError {
 }
 
 /// Refuses a number that is not within its range.
-pub(super) fn within(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), ConfigError> {
+pub(super) fn check_range(field: &str, found: f64, [low, high]: [f64; 2]) -> Result<(), TrainingConfigError> {
     if (low..=high).contains(&found) {
         Ok(())
     } else {
-        Err(ConfigError::Range { field: field.to_owned(), low, high, found })
+        Err(TrainingConfigError::Range { field: field.to_owned(), low, high, found })
     }
 }

@@ -5,7 +5,7 @@ use crumple_world::measure::caused_brake_mps2;
 use serde::{Deserialize, Serialize};
 
 /// Largest weight.
-const MOST_WEIGHT: f64 = 100.0;
+const MAX_WEIGHT: f64 = 100.0;
 
 /// Costs of a step, as a share of its reward: a step without contact earns
 /// `step_reward * (1 - sum of weight * term)`. Every weight is 0 unless it is given.
@@ -42,16 +42,19 @@ pub struct CostConfig {
     /// Weight of jerk.
     pub jerk: f64,
     /// Weight of braking imposed on the vehicle behind.
-    pub imposed: f64,
+    #[serde(rename = "imposed")]
+    pub induced_braking: f64,
     /// Weight of braking without cause.
-    pub needless: f64,
+    #[serde(rename = "needless")]
+    pub unnecessary_braking: f64,
     /// Weight of departing from the law that the action is relative to.
     #[serde(skip_serializing_if = "is_nothing")]
-    pub departure: f64,
+    #[serde(rename = "departure")]
+    pub residual: f64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_nothing(weight: &f64) -> bool {
+fn is_zero(weight: &f64) -> bool {
     *weight == 0.0
 }
 
@@ -93,7 +96,7 @@ impl CostConfig {
             ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
             ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
         ];
-        let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MOST_WEIGHT]));
+        let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MAX_WEIGHT]));
         wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
     }
 
@@ -104,7 +107,7 @@ impl CostConfig {
     }
 
     /// With every weight so many times as large.
-    pub(super) fn times(&self, times: f64) -> Self {
+    pub(super) fn scaled_by(&self, times: f64) -> Self {
         let Self {
             standstill_m,
             headway_s,
@@ -132,7 +135,7 @@ impl CostConfig {
     }
 
     /// About the largest cost of a step, as a share of its reward.
-    pub(super) fn largest(&self) -> f64 {
+    pub(super) fn max_cost(&self) -> f64 {
         self.weights().iter().map(|(_, weight)| weight).sum()
     }
 }

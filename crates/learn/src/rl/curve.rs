@@ -8,29 +8,29 @@ use serde::Deserialize;
 /// The parts of a log line that the curve needs.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Line {
+enum LogLine {
     Episode { episode: u64 },
-    Evaluation { episode: u64, result: Judged },
+    Evaluation { episode: u64, result: LoggedEvaluation },
 }
 
 #[derive(Deserialize)]
-struct Judged {
+struct LoggedEvaluation {
     mean_reward: f64,
 }
 
 /// The episode a log line is about.
 #[must_use]
-pub fn episode_of(line: &str) -> Option<u64> {
+pub fn parse_episode(line: &str) -> Option<u64> {
     match serde_json::from_str(line).ok()? {
-        Line::Episode { episode } | Line::Evaluation { episode, .. } => Some(episode),
+        LogLine::Episode { episode } | LogLine::Evaluation { episode, .. } => Some(episode),
     }
 }
 
 /// The episode after which a log line says how the actor was judged; none of other lines.
-pub(super) fn judged_after(line: &str) -> Option<u64> {
+pub(super) fn parse_evaluation_episode(line: &str) -> Option<u64> {
     match serde_json::from_str(line).ok()? {
-        Line::Evaluation { episode, .. } => Some(episode),
-        Line::Episode { .. } => None,
+        LogLine::Evaluation { episode, .. } => Some(episode),
+        LogLine::Episode { .. } => None,
     }
 }
 
@@ -40,11 +40,11 @@ pub fn learning_curve(preset: &str, logs: &[String]) -> LearningCurve {
     LearningCurve::from_evaluations(preset, &logs.iter().map(|log| evaluations(log)).collect::<Vec<_>>())
 }
 
-fn evaluations(log: &str) -> BTreeMap<u64, f64> {
+fn parse_evaluations(log: &str) -> BTreeMap<u64, f64> {
     log.lines()
         .filter_map(|line| match serde_json::from_str(line).ok()? {
-            Line::Evaluation { episode, result } => Some((episode, result.mean_reward)),
-            Line::Episode { .. } => None,
+            LogLine::Evaluation { episode, result } => Some((episode, result.mean_reward)),
+            LogLine::Episode { .. } => None,
         })
         .collect()
 }

@@ -5,22 +5,22 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use super::config::{EnvironmentConfig, TimeLimit};
-use super::reward::Earnings;
+use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
 use crumple_world::observation::Observation;
-use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE};
+use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE_LEN};
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::sim::{Moment, Motion, Run, Stepper};
+use crumple_world::sim::{StepView, Motion, Run, Stepper};
 
 /// All vehicles must have stood for this long before the rest of an episode counts as decided, in seconds: the agent has
 /// then chosen to stay where it is more than once.
-const SETTLED_S: f64 = 0.5;
+const MIN_REST_S: f64 = 0.5;
 
 /// How an episode stands after a decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum Ending {
+pub enum EpisodeEnding {
     /// It goes on.
     None,
     /// Vehicles touched: termination.
@@ -28,32 +28,33 @@ pub enum Ending {
     /// Every vehicle stands for good, and the rest of the reward is credited: termination.
     AtRest,
     /// The scenario's time is over: truncation, or termination if the configuration says so.
-    TimeOver,
+    #[serde(rename = "time-over")]
+    TimeLimit,
 }
 
 /// What a decision led to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Consequence {
+pub struct StepOutcome {
     /// Reward for the learner, scaled. At rest it includes the value of standing still from then on.
     pub reward: f32,
     /// What is seen next.
-    pub next_state: [f32; STATE],
+    pub next_state: [f32; STATE_LEN],
     /// Whether and how the episode ended.
-    pub ending: Ending,
+    pub ending: EpisodeEnding,
     /// Whether the value of the next state counts.
     pub continues: bool,
 }
 
 /// What all episodes of a configuration have in common: a thousand of them step in turn, and then fetch it from memory once.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Terms {
-    config: EnvironmentConfig,
+pub struct EpisodeConfig {
+    environment: EnvironmentConfig,
     discount: f64,
     scaling: ObservationScaling,
-    bounds: ActionBounds,
+    action_bounds: ActionBounds,
 }
 
-impl Terms {
+impl EpisodeConfig {
     /// The terms of a configuration. `discount` is that of one decision.
     #[must_use]
     pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
@@ -62,7 +63,7 @@ impl Terms {
 
     /// The terms of episode `index` of a source, where costs may count more or less than elsewhere.
     #[must_use]
-    pub fn of_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
+    pub fn for_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
         match source.costs_times(seed, index) {
             1.0 => Arc::clone(self),
             times => {
@@ -74,51 +75,51 @@ impl Terms {
 
     /// What they are of.
     #[must_use]
-    pub fn config(&self) -> &EnvironmentConfig {
+    pub fn environment(&self) -> &EnvironmentConfig {
         &self.config
     }
 }
 
 /// One episode under way.
-pub struct Episode {
+pub struct TrainingEpisode {
     stepper: Stepper,
-    terms: Arc<Terms>,
-    earnings: Earnings,
-    held: Held,
-    steps: usize,
-    settled_steps: usize,
-    standing_steps: usize,
-    undiscounted: f64,
+    config: Arc<EpisodeConfig>,
+    reward_tracker: RewardTracker,
+    held_action: Held,
+    total_steps: usize,
+    min_rest_steps: usize,
+    steps_at_rest: usize,
+    undiscounted_return: f64,
 }
 
-impl Episode {
+impl TrainingEpisode {
     /// An episode on a run with one vehicle under test behind the leader.
     #[must_use]
-    pub fn new(run: &Run, terms: &Arc<Terms>) -> Self {
+    pub fn new(run: &Run, terms: &Arc<EpisodeConfig>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            earnings: Earnings::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
+            earnings: RewardTracker::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
             stepper,
             terms: Arc::clone(terms),
             held: Held::default(),
             steps: run.scenario().steps(),
-            settled_steps: (SETTLED_S / run.scenario().spec().step_s).round() as usize,
+            settled_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
             standing_steps: 0,
             undiscounted: 0.0,
         }
     }
 
     /// The state now.
-    pub fn state(&mut self) -> [f32; STATE] {
-        self.stepper.observe(EGO).map_or([0.0; STATE], |seen| self.terms.scaling.state(&seen))
+    pub fn state(&mut self) -> [f32; STATE_LEN] {
+        self.stepper.observe(EGO).map_or([0.0; STATE_LEN], |seen| self.terms.scaling.state(&seen))
     }
 
     /// Holds an action, between -1 and 1, until the next decision.
-    pub fn decide(&mut self, action: f32) -> Consequence {
+    pub fn step(&mut self, action: f32) -> Consequence {
         self.held.turn_to(action);
         let Self { stepper, terms, earnings, held, standing_steps, .. } = self;
-        let Terms { config, bounds, .. } = &**terms;
-        let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, Ending::None);
+        let EpisodeConfig { config, bounds, .. } = &**terms;
+        let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let departure = Cell::new(0.0);
         let mut acceleration_mps2 = None;
         let command = |seen: &Observation| match acceleration_mps2 {
@@ -129,33 +130,33 @@ impl Episode {
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
-        let after = |now: &Moment<'_>| {
+        let after = |now: &StepView<'_>| {
             of_last_step = earnings.of_step(now, config, departure.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
             *standing_steps = if at_rest { *standing_steps + 1 } else { 0 };
             ending = if now.has_touched {
-                Ending::Contact
+                EpisodeEnding::Contact
             } else if now.has_ended {
-                Ending::TimeOver
+                EpisodeEnding::TimeOver
             } else if *standing_steps >= self.settled_steps {
-                Ending::AtRest
+                EpisodeEnding::AtRest
             } else {
-                Ending::None
+                EpisodeEnding::None
             };
-            if ending == Ending::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            if ending == EpisodeEnding::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         stepper.drive(EGO, config.decision_steps as usize, command, after);
         self.undiscounted += reward;
         let mut to_learn = reward;
-        if ending == Ending::AtRest {
+        if ending == EpisodeEnding::AtRest {
             let steps_left = (self.steps - self.stepper.steps_made()) as f64;
             self.undiscounted += steps_left * of_last_step;
             let decisions_left = steps_left / f64::from(self.terms.config.decision_steps);
-            to_learn += self.terms.discount * self.value_of_standing(of_last_step, decisions_left);
+            to_learn += self.terms.discount * self.standstill_return(of_last_step, decisions_left);
         }
-        let over = matches!(ending, Ending::Contact | Ending::AtRest)
-            || (ending == Ending::TimeOver && self.terms.config.time_limit == TimeLimit::End);
+        let over = matches!(ending, EpisodeEnding::Contact | EpisodeEnding::AtRest)
+            || (ending == EpisodeEnding::TimeOver && self.terms.config.time_limit == TimeLimit::End);
         Consequence {
             reward: (to_learn * self.terms.config.reward_scale) as f32,
             next_state: self.state(),
@@ -166,7 +167,7 @@ impl Episode {
 
     /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end, where each
     /// step earns the same.
-    fn value_of_standing(&self, step_reward: f64, decisions_left: f64) -> f64 {
+    fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
         let each = step_reward * f64::from(self.terms.config.decision_steps);
         let for_ever = each / (1.0 - self.terms.discount);
         match self.terms.config.time_limit {
@@ -196,7 +197,7 @@ impl Episode {
 
 /// The accelerations an agent of this configuration chooses from.
 #[must_use]
-pub fn bounds(config: &EnvironmentConfig) -> ActionBounds {
+pub fn action_bounds(config: &EnvironmentConfig) -> ActionBounds {
     ActionBounds {
         high_mps2: config.max_accel_mps2,
         departs_from: config.departs_from.clone(),
@@ -213,12 +214,12 @@ mod tests {
     use crumple_world::sim::RunOptions;
 
     /// Drives paper-2 with one action throughout; also returns what was learned from each decision.
-    fn drive(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
+    fn drive_paper_2(config: &EnvironmentConfig, action: f32) -> (f64, Vec<Consequence>) {
         let scenario = built_in("paper-2").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-        let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
+        let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
         let mut all = vec![episode.decide(action)];
-        while all.last().unwrap().ending == Ending::None {
+        while all.last().unwrap().ending == EpisodeEnding::None {
             all.push(episode.decide(action));
         }
         (episode.total_reward(), all)
@@ -234,7 +235,7 @@ mod tests {
         let action = (-2.9 + 2.25) / 5.25;
         let (total, all) = drive(&config(), action as f32);
         let last = all.last().unwrap();
-        assert_eq!((last.ending, last.continues, total), (Ending::AtRest, false, 22_500.0));
+        assert_eq!((last.ending, last.continues, total), (EpisodeEnding::AtRest, false, 22_500.0));
         assert!(all.len() < 150, "ended early");
         assert!((f64::from(last.reward) - (1.0 + 0.99 * 100.0)).abs() < 1.0, "{}", last.reward);
         let end = EnvironmentConfig { time_limit: TimeLimit::End, ..config() };
@@ -247,7 +248,7 @@ mod tests {
     fn a_contact_costs_3000_and_ends_everything() {
         let (total, all) = drive(&config(), 1.0);
         let last = all.last().unwrap();
-        assert_eq!((last.ending, last.continues), (Ending::Contact, false));
+        assert_eq!((last.ending, last.continues), (EpisodeEnding::Contact, false));
         assert_eq!((total + 3000.0) % 15.0, 0.0);
         assert!(last.reward < -19.0 && all[0].reward == 1.0);
     }
@@ -261,9 +262,9 @@ mod tests {
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         for (time_limit, continues) in [(TimeLimit::Truncation, true), (TimeLimit::End, false)] {
             let config = EnvironmentConfig { time_limit, ..config() };
-            let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
+            let mut episode = TrainingEpisode::new(&run, &EpisodeConfig::new(config.clone(), 0.99));
             let last = (0..150).map(|_| episode.decide((2.25 / 5.25) as f32)).last().unwrap();
-            assert_eq!((last.ending, last.continues), (Ending::TimeOver, continues));
+            assert_eq!((last.ending, last.continues), (EpisodeEnding::TimeOver, continues));
         }
     }
 }

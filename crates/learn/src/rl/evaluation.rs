@@ -6,36 +6,36 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
 use super::trainer::TrainingError;
-use super::useful::{Traffic, UsefulDriving};
+use super::usefulness::{Traffic, TrafficUsefulness};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Seed of the held-out draws: the same for every training, and never a seed of training draws.
-const HELD_OUT_SEED: u64 = 0x0068_656c_646f_7574;
+const EVALUATION_SEED: u64 = 0x0068_656c_646f_7574;
 
 /// Seed of the held-out draws of traffic.
-const USEFUL_SEED: u64 = 0x0075_7365_6675_6c20;
+const TRAFFIC_SEED: u64 = 0x0075_7365_6675_6c20;
 
 /// The scenarios of all evaluations.
 #[derive(Debug, Clone)]
-pub struct HeldOut {
+pub struct EvaluationSet {
     paper: Vec<Scenario>,
     screening: Vec<Scenario>,
     ranking: Vec<Scenario>,
     /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
-    paper_needed: usize,
+    required_paper_scenarios: usize,
     environment: EnvironmentConfig,
     traffic: Option<Traffic>,
 }
 
 /// The paper's scenarios.
-const PAPER: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
+const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 
 /// What an evaluation found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Evaluation {
+pub struct PolicyEvaluation {
     /// Whether each of the paper's scenarios stayed without contact, through the filter and with the true state.
     pub paper_safe: [bool; 3],
     /// Share of screening draws without contact.
@@ -48,13 +48,15 @@ pub struct Evaluation {
     pub smallest_gap_m: f64,
     /// What a ranked policy did in everyday traffic; none if it was not ranked, or there are no such draws.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub useful: Option<UsefulDriving>,
+    #[serde(rename = "useful")]
+    pub usefulness: Option<TrafficUsefulness>,
     /// Share of ranking draws that ended in contact, and what was at fault in traffic, added up; none as above.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub both_sides: Option<f64>,
+    #[serde(rename = "both_sides")]
+    pub combined_penalty: Option<f64>,
 }
 
-impl Evaluation {
+impl PolicyEvaluation {
     /// Orders evaluations; greater is better: first safety where it was tested (with usefulness, where that was), then paper-3, then the margin.
     #[must_use]
     pub(crate) fn score(&self) -> [f64; 5] {
@@ -80,11 +82,11 @@ impl Evaluation {
     }
 }
 
-impl HeldOut {
+impl EvaluationSet {
     /// Draws the scenarios.
     #[must_use]
     pub fn new(evaluation: &EvaluationConfig, environment: &EnvironmentConfig) -> Self {
-        let draws = PaperDistribution { seed: HELD_OUT_SEED };
+        let draws = PaperDistribution { seed: EVALUATION_SEED };
         let draw = |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
         let first = evaluation.screening_draws;
         Self {
@@ -102,16 +104,16 @@ impl HeldOut {
     ///
     /// # Errors
     /// [`TrainingError`] if its spaces cannot be drawn from.
-    pub fn of(config: &TrainingConfig) -> Result<Self, TrainingError> {
+    pub fn from_config(config: &TrainingConfig) -> Result<Self, TrainingError> {
         let (evaluation, environment) = (&config.evaluation, &config.environment);
         let mut held_out = Self::new(evaluation, environment);
         if !config.spaces.is_empty() {
             let source = config.source()?;
-            let draws = (0..evaluation.ranking_draws).map(|index| source.draw(HELD_OUT_SEED, index));
+            let draws = (0..evaluation.ranking_draws).map(|index| source.draw(EVALUATION_SEED, index));
             held_out.ranking = draws.collect::<Result<_, _>>()?;
         }
         if evaluation.useful_draws > 0 {
-            held_out.traffic = Some(Traffic::new(USEFUL_SEED, evaluation.useful_draws, environment.estimator)?);
+            held_out.traffic = Some(Traffic::new(TRAFFIC_SEED, evaluation.useful_draws, environment.estimator)?);
         }
         Ok(held_out)
     }
@@ -127,7 +129,7 @@ impl HeldOut {
     ///
     /// # Errors
     /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
-    pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<Evaluation, RunError> {
+    pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<PolicyEvaluation, RunError> {
         let of = self.environment.estimator;
         let mut paper_safe = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;
@@ -140,7 +142,7 @@ impl HeldOut {
         }
         let draws = drive(&self.screening, policy, of)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
-        let mut evaluation = Evaluation {
+        let mut evaluation = PolicyEvaluation {
             paper_safe,
             safe_share: safe as f64 / draws.len().max(1) as f64,
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
@@ -185,14 +187,14 @@ const UNSEEN_SEED: u64 = 0;
 ///
 /// # Errors
 /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
-pub fn unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
+pub fn count_unseen_contacts(policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<u64, RunError> {
     let draws = PaperDistribution { seed: UNSEEN_SEED };
     let scenarios: Vec<_> = (0..UNSEEN_DRAWS).filter_map(|index| draws.draw(index).ok()).collect();
     Ok(drive(&scenarios, policy, estimator)?.iter().filter(|run| run.contact_s.is_some()).count() as u64)
 }
 
 /// One evaluated run.
-struct Driven {
+struct EvaluationRun {
     contact_s: Option<f64>,
     /// Smallest gap between any two vehicles, in metres.
     smallest_gap_m: f64,
@@ -200,7 +202,7 @@ struct Driven {
     step_s: f64,
 }
 
-fn smallest(runs: &[Driven]) -> f64 {
+fn min_gap_m(runs: &[Driven]) -> f64 {
     runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
 }
 

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
 use super::curve::{episode_of, judged_after};
-use super::evaluation::{Evaluation, HeldOut, unseen_contacts};
-use super::seeds::{Event, TrainingRecorder, train_recorded};
+use super::evaluation::{Evaluation, EvaluationSet, unseen_contacts};
+use super::runner::{Event, TrainingRecorder, train_recorded};
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
@@ -52,7 +52,7 @@ impl SeedResult {
 /// The training of one seed, in its folder.
 #[derive(Debug)]
 pub struct TrainingFolder<'a> {
-    work: Work,
+    run_folder: Work,
     config: &'a TrainingConfig,
     pub(super) trainer: Trainer,
     log: String,
@@ -83,7 +83,7 @@ impl<'a> TrainingFolder<'a> {
         let is_done = |line: &&str| episode_of(line).is_some_and(|episode| episode <= trainer.episode());
         // How it was judged because it was to end there: it is again, if it still is, and else a training without that end says nothing of it.
         let is_of_the_end = |line: &&str| {
-            judged_after(line).is_some_and(|episode| episode > 0 && !trainer.is_judged_on_the_way(episode))
+            judged_after(line).is_some_and(|episode| episode > 0 && !trainer.is_evaluation_episode(episode))
         };
         // The log is written before the checkpoint: what it has beyond that is done again.
         let log = match trainer.episode() {
@@ -106,14 +106,14 @@ impl<'a> TrainingFolder<'a> {
     ///
     /// # Errors
     /// [`TrainingError`] if the training diverges, a file cannot be written, or `observer` stops the training.
-    pub fn train(mut self, held_out: &HeldOut, observer: &dyn Observer<Event>) -> Result<SeedResult, TrainingError> {
+    pub fn train(mut self, held_out: &EvaluationSet, observer: &dyn Observer<Event>) -> Result<SeedResult, TrainingError> {
         let configuration = text_of(self.config)?;
         let known = if self.work.is_complete() { self.work.read(CONFIGURATION)? } else { None };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
-            return result_in(&self.work);
+            return read_result(&self.work);
         }
         self.work.write(CONFIGURATION, configuration)?;
-        let mut keeper = Keeper { work: &self.work, log: self.log, observer };
+        let mut keeper = FolderRecorder { work: &self.work, log: self.log, observer };
         let trained = train_recorded::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
         let log = keeper.log;
         let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
@@ -144,13 +144,13 @@ impl<'a> TrainingFolder<'a> {
 }
 
 /// Keeps one seed's log and checkpoints.
-struct Keeper<'a> {
-    work: &'a Work,
+struct FolderRecorder<'a> {
+    run_folder: &'a Work,
     log: String,
     observer: &'a dyn Observer<Event>,
 }
 
-impl TrainingRecorder<TrainingError> for Keeper<'_> {
+impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
     fn record(&mut self, event: &Event) -> Result<(), TrainingError> {
         self.log += &serde_json::to_string(event)?;
         self.log.push('\n');
@@ -171,7 +171,7 @@ impl TrainingRecorder<TrainingError> for Keeper<'_> {
 ///
 /// # Errors
 /// [`TrainingError`] if a training was configured otherwise, or a file of one is damaged.
-pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(SeedResult, String)>, TrainingError> {
+pub fn read_finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(SeedResult, String)>, TrainingError> {
     let mut seeds = Vec::new();
     for entry in fs::read_dir(out).map_err(DiskError::at(out))? {
         let name = entry.map_err(DiskError::at(out))?.file_name();
@@ -195,15 +195,15 @@ pub fn finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Vec<(Se
             work => work?,
         };
         if work.is_complete() {
-            let log = String::from_utf8_lossy(&work.read_present(LOG)?).into_owned();
-            finished.push((result_in(&work)?, log));
+            let log = String::from_utf8_lossy(&work.read_required(LOG)?).into_owned();
+            finished.push((read_result(&work)?, log));
         }
     }
     Ok(finished)
 }
 
 /// The work of a seed; of an error that it was configured otherwise, in what.
-fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<Work, TrainingError> {
+fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<Work, TrainingError> {
     let folder = seed_folder(out, seed);
     let configuration = identity_of(config, seed)?;
     let asked = Asked {
@@ -217,23 +217,23 @@ fn opened(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Resul
         Err(WorkError::OtherConfiguration { path, found, .. }) => {
             let episodes = TrainingConfig::parse(&found, &path).map_or(config.episodes, |found| found.episodes);
             let expected = text_of(&TrainingConfig { episodes, ..config.clone() })?;
-            Err(TrainingError::OtherTraining(difference::in_toml(&path, "training", &found, &expected)))
+            Err(TrainingError::OtherTraining(difference::describe_toml(&path, "training", &found, &expected)))
         }
         work => Ok(work?),
     }
 }
 
 /// What decides a training. It may be made longer.
-pub(super) fn identity_of(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
+pub(super) fn training_identity(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
     Ok(format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?))
 }
 
-pub(super) fn text_of(config: &TrainingConfig) -> Result<String, TrainingError> {
+pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {
     toml::to_string(config).map_err(TrainingError::Configuration)
 }
 
-fn result_in(work: &Work) -> Result<SeedResult, TrainingError> {
-    let bytes = work.read_present(RESULT)?;
+fn read_result(work: &Work) -> Result<SeedResult, TrainingError> {
+    let bytes = work.read_required(RESULT)?;
     let damaged = |error: serde_json::Error| WorkError::Damaged { path: work.path(RESULT), problem: error.to_string() };
     Ok(serde_json::from_slice(&bytes).map_err(damaged)?)
 }

@@ -16,7 +16,7 @@ use crumple_world::random::{self, Purpose, Stream};
 
 /// A network, the target that follows it, and its optimiser.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Trained {
+pub struct TrainableNetwork {
     /// The network that learns.
     pub network: Network,
     /// The target.
@@ -25,7 +25,7 @@ pub struct Trained {
     pub adam: Adam,
 }
 
-impl Trained {
+impl TrainableNetwork {
     fn new(network: Network) -> Self {
         Self { target: network.clone(), adam: Adam::new(network.parameters().len()), network }
     }
@@ -35,23 +35,23 @@ impl Trained {
 #[derive(Debug, Clone)]
 pub struct Learner {
     /// π, before its tanh.
-    pub actor: Trained,
+    pub actor: TrainableNetwork,
     /// Q, or Q₁ and Q₂.
-    pub critics: Vec<Trained>,
+    pub critics: Vec<TrainableNetwork>,
     /// Updates made.
     pub updates: u64,
     /// Numbers that the actor sees.
-    inputs: usize,
+    state_width: usize,
     /// Share of the step sizes that updates make at present.
-    pub(super) rate_share: f32,
+    pub(super) lr_factor: f32,
     learning: LearningConfig,
     td3: Td3Config,
-    space: Space,
+    workspace: UpdateWorkspace,
 }
 
 /// Working space of an update.
 #[derive(Debug, Clone, Default)]
-struct Space {
+struct UpdateWorkspace {
     actor: Tape,
     critic: Tape,
     target: Tape,
@@ -85,7 +85,7 @@ impl Learner {
         let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
         let fresh = |index, inputs| {
             let mut stream = random::stream(seed, Purpose::FirstWeights, index);
-            Trained::new(first_weights(&sizes(inputs), network.final_layer_bound, &mut stream))
+            TrainableNetwork::new(init_network(&sizes(inputs), network.final_layer_bound, &mut stream))
         };
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
@@ -96,16 +96,16 @@ impl Learner {
             rate_share: 1.0,
             learning: learning.clone(),
             td3: td3.clone(),
-            space: Space::default(),
+            space: UpdateWorkspace::default(),
         }
     }
 
     /// The actor's answers, between -1 and 1, to states row after row.
     pub fn act(&mut self, states: &[f32]) -> &[f32] {
-        let Space { actor, actions, .. } = &mut self.space;
+        let UpdateWorkspace { actor, actions, .. } = &mut self.space;
         let batch = states.len() / self.inputs;
         let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
-        take_answers(raw, actions);
+        squash_actions(raw, actions);
         actions
     }
 
@@ -116,12 +116,12 @@ impl Learner {
     }
 
     fn step(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
-        self.set_goals(batch, noise);
+        self.compute_td_targets(batch, noise);
         let actor_is_due = (self.updates + 1).is_multiple_of(u64::from(self.td3.actor_every));
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
-            let found = self.critic_gradient(index, batch);
-            let Trained { network, target, adam } = &mut self.critics[index];
+            let found = self.compute_critic_gradient(index, batch);
+            let TrainableNetwork { network, target, adam } = &mut self.critics[index];
             let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.soft_update));
             let rate = self.rate_share * self.learning.critic_rate;
             adam.step(network.parameters_mut(), &self.space.critic_gradients, rate, follow);
@@ -130,8 +130,8 @@ impl Learner {
             }
         }
         if actor_is_due {
-            self.actor_gradient(batch);
-            let Trained { network, target, adam } = &mut self.actor;
+            self.compute_actor_gradient(batch);
+            let TrainableNetwork { network, target, adam } = &mut self.actor;
             let follow = Some((target.parameters_mut(), self.learning.soft_update));
             let rate = self.rate_share * self.learning.actor_rate;
             adam.step(network.parameters_mut(), &self.space.actor_gradients, rate, follow);
@@ -141,10 +141,10 @@ impl Learner {
     }
 
     /// y for every transition of the batch.
-    fn set_goals(&mut self, batch: &Batch, noise: &mut Stream) {
-        let Space { target, actions, td_targets, .. } = &mut self.space;
+    fn compute_td_targets(&mut self, batch: &Batch, noise: &mut Stream) {
+        let UpdateWorkspace { target, actions, td_targets, .. } = &mut self.space;
         let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
-        take_answers(raw, actions);
+        squash_actions(raw, actions);
         if self.td3.target_noise > 0.0 {
             let limit = self.td3.target_noise_limit;
             for action in actions.iter_mut() {
@@ -169,8 +169,8 @@ impl Learner {
     }
 
     /// Gradient of the mean squared error of critic `index` at the td_targets, into the working space.
-    fn critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
-        let Space { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.space;
+    fn compute_critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
+        let UpdateWorkspace { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.space;
         let network = &self.critics[index].network;
         let fill = |input: &mut Vec<f32>| beside([&batch.states, &batch.privileged], &batch.actions, input);
         let values = tape.forward(network, batch.len(), fill);
@@ -190,18 +190,18 @@ impl Learner {
 
     /// Gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)² + smoothness · mean (π(s) - π(s'))², into the
     /// working space.
-    fn actor_gradient(&mut self, batch: &Batch) {
+    fn compute_actor_gradient(&mut self, batch: &Batch) {
         let n = batch.len() as f32;
         // Rows of the next states follow those of the states where they count.
         let smoothness = 2.0 * self.learning.smoothness_penalty / n;
         let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
-        let Space { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
+        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
         let rows = (batch.states.len() + next_states.len()) / self.inputs;
         let raw = actor.forward(&self.actor.network, rows, |input| {
             input.extend_from_slice(&batch.states);
             input.extend_from_slice(next_states);
         });
-        take_answers(raw, actions);
+        squash_actions(raw, actions);
         let (actions, next_actions) = actions.split_at(batch.len());
         let critic = &self.critics[0].network;
         tape.forward(critic, batch.len(), |input| beside([&batch.states, &batch.privileged], actions, input));
@@ -230,25 +230,25 @@ impl Learner {
     /// Gradients of each critic and of the actor at the present weights, without changing them: for tests against other
     /// formulations.
     pub fn gradients(&mut self, batch: &Batch, noise: &mut Stream) -> (Vec<Vec<f32>>, Vec<f32>) {
-        self.set_goals(batch, noise);
+        self.compute_td_targets(batch, noise);
         let mut critics = Vec::new();
         for index in 0..self.critics.len() {
-            self.critic_gradient(index, batch);
+            self.compute_critic_gradient(index, batch);
             critics.push(self.space.critic_gradients.clone());
         }
-        self.actor_gradient(batch);
+        self.compute_actor_gradient(batch);
         (critics, self.space.actor_gradients.clone())
     }
 }
 
 /// What an actor answers, between -1 and 1, of its outputs.
-fn take_answers(raw: &[f32], actions: &mut Vec<f32>) {
+fn squash_actions(raw: &[f32], actions: &mut Vec<f32>) {
     actions.clear();
     actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
 }
 
 /// Rows of states, of what else critics know, and the action as last number.
-fn beside(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
+fn fill_critic_input(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
     let widths = known.map(|rows| rows.len() / actions.len().max(1));
     for (row, &action) in actions.iter().enumerate() {
         for (rows, width) in known.iter().zip(widths) {
@@ -259,7 +259,7 @@ fn beside(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
 }
 
 /// Weights and biases uniform within 1/√(inputs), of the last layer within `final_bound` unless that is 0.
-fn first_weights(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Network {
+fn init_network(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Network {
     let mut network = Network::zeros(sizes);
     let layers = network.layers();
     let last = layers.len() - 1;

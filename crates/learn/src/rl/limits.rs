@@ -1,24 +1,24 @@
 //! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
 
 use super::blend;
-use super::config::{PENALTIES, TRAINING_VERSION, TrainingConfig};
+use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
 use super::config_error::{ConfigError, within};
 use crumple_world::policy::Departure;
 
 /// Most hidden layers.
-const MOST_LAYERS: usize = 16;
+const MAX_LAYERS: usize = 16;
 
 /// Most bytes of memory of a training with one seed: several seeds at once take that much each.
-const MOST_BYTES: u64 = 4 << 30;
+const MAX_MEMORY_BYTES: u64 = 4 << 30;
 /// Copies of the weights of both networks: themselves, targets, moments, gradients, means, checkpoints, and the judged policy.
 const NETWORK_COPIES: u64 = 34;
 /// Copies of all layer outputs for a batch: activations, gradients and packed factors of both networks.
 const BATCH_COPIES: u64 = 8;
 /// Bytes of a held-out scenario with its run: 2200 to 2700 as measured.
-const DRAW_BYTES: u64 = 2600;
+const SCENARIO_BYTES: u64 = 2600;
 
-fn penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
-    let (weight, [least, most]) = (f64::from(weight), PENALTIES);
+fn check_penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
+    let (weight, [least, most]) = (f64::from(weight), PENALTY_RANGE);
     // As somebody wrote it, the least in single precision is no less.
     if 0.0 < weight && weight < f64::from(least as f32) {
         let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
@@ -100,13 +100,13 @@ impl TrainingConfig {
         within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
         within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
         within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
-        blend::check(&self.spaces)?;
-        self.fits_in_memory()
+        space_mixture::check(&self.spaces)?;
+        self.check_memory()
     }
 
     /// Refuses a training that takes more than [`MOST_BYTES`], and names the field that takes most of them.
-    fn fits_in_memory(&self) -> Result<(), ConfigError> {
-        let parts = self.parts_bytes();
+    fn check_memory(&self) -> Result<(), ConfigError> {
+        let parts = self.memory_by_field();
         let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
         let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
         match largest.filter(|_| found > MOST_BYTES) {
@@ -120,7 +120,7 @@ impl TrainingConfig {
     }
 
     /// Returns an upper bound of the bytes that each part of a training takes, with the field that decides it.
-    fn parts_bytes(&self) -> [(&'static str, u64); 4] {
+    fn memory_by_field(&self) -> [(&'static str, u64); 4] {
         let inputs = self.environment.observation.width() + self.learning.privileged() + 1;
         let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
@@ -134,7 +134,7 @@ impl TrainingConfig {
                 "replay.capacity",
                 float_bytes(2 * (self.remembered().numbers() as u64 + 1) * self.replay.capacity as u64),
             ),
-            ("evaluation.ranking_draws", draws * DRAW_BYTES),
+            ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
         ]
     }
 }
@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn trainings_that_do_not_fit_in_memory_are_refused() {
         for (name, _) in PRESETS {
-            let bytes = TrainingConfig::preset(name).unwrap().parts_bytes().map(|(_, bytes)| bytes);
+            let bytes = TrainingConfig::preset(name).unwrap().memory_by_field().map(|(_, bytes)| bytes);
             assert!(bytes.iter().sum::<u64>() < MOST_BYTES / 16, "{name}: {bytes:?}");
         }
         let changed = |change: &dyn Fn(&mut TrainingConfig)| {

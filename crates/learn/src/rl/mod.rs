@@ -9,7 +9,7 @@
 
 mod adam;
 mod backprop;
-mod blend;
+mod space_mixture;
 mod checkpoint;
 mod config;
 mod config_error;
@@ -24,37 +24,37 @@ mod observation;
 mod privileged;
 mod replay;
 mod reward;
-mod seeds;
+mod runner;
 mod shard;
-mod single;
+mod f32_serde;
 mod source;
 mod trainer;
-mod useful;
+mod usefulness;
 
 pub use adam::Adam;
-pub use blend::{SpaceShare, WeightedSpaces};
+pub use space_mixture::{SpaceShare, SpaceMixture};
 #[cfg(feature = "schema")]
 pub use config::json_schema;
 pub use config::{
-    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS, RatesFall,
+    EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS, LrDecay,
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
 pub use config_error::ConfigError;
 pub use costs::CostConfig;
 pub use curve::{episode_of, learning_curve};
 pub use environment::{Consequence, Ending, Episode, Terms, bounds};
-pub use evaluation::{Evaluation, HeldOut, UNSEEN_DRAWS, unseen_contacts};
+pub use evaluation::{Evaluation, EvaluationSet, UNSEEN_DRAWS, unseen_contacts};
 pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
 pub use learner::{Learner, Losses, Trained};
 pub use observation::{Inputs, ObservationConfig, Scale};
 pub use replay::{Batch, Remembered, Replay, Transition};
-pub use seeds::{Event, side_by_side, train};
-pub(crate) use seeds::{TrainingRecorder, train_recorded};
+pub use runner::{Event, side_by_side, train};
+pub(crate) use runner::{TrainingRecorder, train_recorded};
 pub use shard::{GatherError, MergedTrainings, TrainingShard, is_of_trainings};
-pub use source::{Blend, Mixed, PaperDraws, ScenarioSource, unsuited};
+pub use source::{Blend, Mixed, PaperSource, ScenarioSource, unsuited};
 pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
-pub use useful::UsefulDriving;
-pub(crate) use useful::usefulness;
+pub use usefulness::TrafficUsefulness;
+pub(crate) use usefulness::usefulness;
 
 #[cfg(test)]
 mod tests;

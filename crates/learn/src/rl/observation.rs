@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::config_error::ConfigError;
-use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
+use crumple_world::policy::{MAX_HISTORY, ObservationScaling, STATE_LEN};
 
 /// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.
 ///
@@ -12,7 +12,7 @@ use crumple_world::policy::{LONGEST_HISTORY, ObservationScaling, STATE};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(feature = "schema", schemars(extend("if" = looks_at_intervals(), "then" = looks_back())))]
+#[cfg_attr(feature = "schema", schemars(extend("if" = strided_history_schema(), "then" = required_history_schema())))]
 #[non_exhaustive]
 pub struct ObservationConfig {
     /// Scaled numbers are cut to plus and minus this.
@@ -28,17 +28,17 @@ pub struct ObservationConfig {
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history_every: u32,
     /// What is seen.
-    pub inputs: Inputs,
+    pub inputs: ObservationInputs,
 }
 
 /// Of the schema: what says at which decisions it looks back must look back.
 #[cfg(feature = "schema")]
-fn looks_at_intervals() -> serde_json::Value {
+fn strided_history_schema() -> serde_json::Value {
     serde_json::json!({ "required": ["history_every"], "properties": { "history_every": { "minimum": 2 } } })
 }
 
 #[cfg(feature = "schema")]
-fn looks_back() -> serde_json::Value {
+fn required_history_schema() -> serde_json::Value {
     serde_json::json!({ "required": ["history"], "properties": { "history": { "minimum": 2 } } })
 }
 
@@ -56,46 +56,46 @@ fn is_one(count: &u32) -> bool {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
-pub struct Inputs {
+pub struct ObservationInputs {
     /// Bumper gap to the vehicle ahead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gap_ahead_m: Option<Scale>,
+    pub gap_ahead_m: Option<InputScaling>,
     /// Bumper gap to the vehicle behind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gap_behind_m: Option<Scale>,
+    pub gap_behind_m: Option<InputScaling>,
     /// Speed of the vehicle ahead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed_ahead_mps: Option<Scale>,
+    pub speed_ahead_mps: Option<InputScaling>,
     /// Own speed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed_mps: Option<Scale>,
+    pub speed_mps: Option<InputScaling>,
     /// Speed of the vehicle behind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed_behind_mps: Option<Scale>,
+    pub speed_behind_mps: Option<InputScaling>,
     /// Acceleration of the vehicle ahead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub acceleration_ahead_mps2: Option<Scale>,
+    pub acceleration_ahead_mps2: Option<InputScaling>,
     /// Own acceleration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub acceleration_mps2: Option<Scale>,
+    pub acceleration_mps2: Option<InputScaling>,
     /// Acceleration of the vehicle behind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub acceleration_behind_mps2: Option<Scale>,
+    pub acceleration_behind_mps2: Option<InputScaling>,
 }
 
 /// `(x - offset) / scale`, both in the unit of the number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Scale {
+pub struct InputScaling {
     /// Subtracted.
     pub offset: f64,
     /// Divided by; positive.
     pub scale: f64,
 }
 
-/// Names of the inputs, in the order of [`Inputs::in_order`].
-const NAMES: [&str; STATE] = [
+/// Names of the inputs, in the order of [`ObservationInputs::in_order`].
+const INPUT_FIELDS: [&str; STATE_LEN] = [
     "environment.observation.inputs.gap_ahead_m",
     "environment.observation.inputs.gap_behind_m",
     "environment.observation.inputs.speed_ahead_mps",
@@ -107,11 +107,11 @@ const NAMES: [&str; STATE] = [
 ];
 
 /// Divided by it every number is 0.
-const UNSEEN: Scale = Scale { offset: 0.0, scale: f64::MAX };
+const MASKED_INPUT: InputScaling = InputScaling { offset: 0.0, scale: f64::MAX };
 
-impl Inputs {
+impl ObservationInputs {
     /// In the order in which networks see them: the paper's.
-    fn in_order(&self) -> [Option<Scale>; STATE] {
+    fn to_array(&self) -> [Option<InputScaling>; STATE_LEN] {
         [
             self.gap_ahead_m,
             self.gap_behind_m,
@@ -129,8 +129,8 @@ impl Default for ObservationConfig {
     fn default() -> Self {
         let ObservationScaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } =
             ObservationScaling::default();
-        let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| Scale { offset, scale });
-        let inputs = Inputs {
+        let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| InputScaling { offset, scale });
+        let inputs = ObservationInputs {
             gap_ahead_m: all.next(),
             gap_behind_m: all.next(),
             speed_ahead_mps: all.next(),
@@ -152,18 +152,18 @@ impl ObservationConfig {
 
     /// Numbers that an actor sees.
     pub(super) fn width(&self) -> usize {
-        STATE * self.history as usize
+        STATE_LEN * self.history as usize
     }
 
     /// How far back its networks look: at so many decisions, each so many after the one before it.
-    pub(super) fn back(&self) -> [usize; 2] {
+    pub(super) fn frames_and_stride(&self) -> [usize; 2] {
         [self.history as usize, self.history_every as usize]
     }
 
     /// What a policy file carries of it.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
-        let all = self.inputs.in_order().map(|input| input.unwrap_or(UNSEEN));
+        let all = self.inputs.in_order().map(|input| input.unwrap_or(MASKED_INPUT));
         ObservationScaling {
             offset: all.map(|input| input.offset),
             scale: all.map(|input| input.scale),
@@ -176,7 +176,7 @@ impl ObservationConfig {
 
     /// Every number, its name and its range.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let inputs = NAMES.into_iter().zip(self.inputs.in_order()).filter_map(|(name, input)| Some((name, input?)));
+        let inputs = INPUT_FIELDS.into_iter().zip(self.inputs.in_order()).filter_map(|(name, input)| Some((name, input?)));
         let inputs = inputs.flat_map(|(name, input)| {
             let of = |field| format!("{name}.{field}");
             [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
@@ -184,8 +184,8 @@ impl ObservationConfig {
         let whole = [
             ("environment.observation.limit", self.limit, [0.1, 1000.0]),
             ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
-            ("environment.observation.history", f64::from(self.history), [1.0, LONGEST_HISTORY as f64]),
-            ("environment.observation.history_every", f64::from(self.history_every), [1.0, LONGEST_HISTORY as f64]),
+            ("environment.observation.history", f64::from(self.history), [1.0, MAX_HISTORY as f64]),
+            ("environment.observation.history_every", f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
         ];
         whole.into_iter().map(|(name, value, range)| (name.to_owned(), value, range)).chain(inputs)
     }
@@ -220,7 +220,7 @@ mod tests {
         let seen =
             Observation { speed_mps: 0.0, acceleration_mps2: 5.0, ahead: Some(neighbour), behind: Some(neighbour) };
         assert_eq!(config.scaling().state(&seen), [0.5, 0.0, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0]);
-        config.inputs = Inputs::default();
+        config.inputs = ObservationInputs::default();
         assert!(config.check().is_err());
     }
 }

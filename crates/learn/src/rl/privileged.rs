@@ -12,18 +12,18 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, PAPER_STEP_S, Scenario};
 
 /// How far ahead the leader's script is known, in seconds.
-const AHEAD_S: [f64; 2] = [1.0, 3.0];
+const LOOKAHEAD_S: [f64; 2] = [1.0, 3.0];
 /// Costs count at least this many times, for a logarithm.
-const LEAST_TIMES: f64 = 0.01;
+const MIN_COST_MULTIPLIER: f64 = 0.01;
 
 /// What stays as it is throughout an episode, and the script of who leads.
 #[derive(Debug)]
-pub(super) struct Privileged<'s> {
+pub(super) struct PrivilegedInfo<'s> {
     scenario: &'s Scenario,
-    of_episode: [f32; PRIVILEGED - AHEAD_S.len()],
+    episode_constants: [f32; PRIVILEGED - LOOKAHEAD_S.len()],
 }
 
-impl<'s> Privileged<'s> {
+impl<'s> PrivilegedInfo<'s> {
     /// Of a scenario whose costs count so many times.
     pub(super) fn new(scenario: &'s Scenario, costs_times: f64) -> Self {
         let behind = scenario.vehicles().get(EGO + 1);
@@ -33,7 +33,7 @@ impl<'s> Privileged<'s> {
         let holds_its_speed =
             behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))));
         let of_episode = [
-            costs_times.max(LEAST_TIMES).log10(),
+            costs_times.max(MIN_COST_MULTIPLIER).log10(),
             scenario.spec().environment.friction,
             brake(EGO - 1),
             brake(EGO),
@@ -46,10 +46,10 @@ impl<'s> Privileged<'s> {
     }
 
     /// Where its episode is now.
-    pub(super) fn at(&self, episode: &Episode) -> [f32; PRIVILEGED] {
+    pub(super) fn observe(&self, episode: &Episode) -> [f32; PRIVILEGED] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
-        let [soon, later] = AHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
+        let [soon, later] = LOOKAHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
             Some((Driver::Profile(script), speed_mps)) => {
                 (script.acceleration_mps2(time_s, time_s + ahead_s, speed_mps) / FULL_BRAKE_MPS2) as f32
             }
@@ -75,7 +75,7 @@ mod tests {
         let scenario = built_in("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.5).unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut episode = Episode::new(&run, &Terms::new(config.clone(), 0.99));
-        let privileged = Privileged::new(&scenario, 10.0);
+        let privileged = PrivilegedInfo::new(&scenario, 10.0);
         let expected = |soon: f64, later: f64| {
             [1.0, 0.5, 0.5, 0.5, 0.4, 0.0, 1.0, 1.0, soon / 7.5, later / 7.5].map(|number| number as f32)
         };
@@ -89,10 +89,10 @@ mod tests {
     #[test]
     fn nobody_behind_is_no_brake_no_delay_and_nobody_who_holds_a_speed() {
         let scenario = built_in_space("alone").unwrap().draw(1, 2).unwrap();
-        let [costs, .., behind, delay, is_there, holds] = Privileged::new(&scenario, 0.0).of_episode;
+        let [costs, .., behind, delay, is_there, holds] = PrivilegedInfo::new(&scenario, 0.0).of_episode;
         assert_eq!([costs, behind, delay, is_there, holds], [-2.0, 0.0, 0.0, 0.0, 0.0]);
         let followed = built_in_space("assisted").unwrap().draw(1, 2).unwrap();
-        let [.., behind, _, is_there, holds] = Privileged::new(&followed, 1.0).of_episode;
+        let [.., behind, _, is_there, holds] = PrivilegedInfo::new(&followed, 1.0).of_episode;
         assert!(behind > 0.0);
         assert_eq!([is_there, holds], [1.0, 0.0]);
     }

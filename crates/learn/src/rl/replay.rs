@@ -26,31 +26,31 @@ pub struct Transition<'a> {
 }
 
 /// Numbers of a transition beside what is seen: action, reward, whether it continues, whether it is a contact.
-const BESIDE: usize = 4;
+const SCALAR_COUNT: usize = 4;
 
 /// What is remembered of a transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Remembered {
+pub struct TransitionLayout {
     /// Numbers that the networks see at each decision.
-    pub state: usize,
+    pub state_width: usize,
     /// Numbers that critics know besides at each decision.
-    pub privileged: usize,
+    pub privileged_width: usize,
 }
 
-impl Remembered {
+impl TransitionLayout {
     /// All numbers of a transition.
-    pub(super) fn numbers(self) -> usize {
-        2 * (self.state + self.privileged) + BESIDE
+    pub(super) fn width(self) -> usize {
+        2 * (self.state + self.privileged) + SCALAR_COUNT
     }
 }
 
 impl<'a> Transition<'a> {
-    fn to_numbers(self) -> [f32; BESIDE] {
+    fn to_scalars(self) -> [f32; SCALAR_COUNT] {
         let flag = |is: bool| f32::from(u8::from(is));
         [self.action, self.reward, flag(self.continues), flag(self.contact)]
     }
 
-    fn from_numbers(numbers: &'a [f32], width: usize) -> Option<Self> {
+    fn from_row(numbers: &'a [f32], width: usize) -> Option<Self> {
         let (known, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
         let (state, known) = known.split_at_checked(width)?;
         let (next_state, privileged) = known.split_at_checked(width)?;
@@ -68,17 +68,17 @@ impl<'a> Transition<'a> {
 
 /// The memory of a training.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Replay {
+pub struct ReplayBuffer {
     capacity: usize,
-    remembered: Remembered,
+    layout: TransitionLayout,
     /// Numbers of a transition.
     width: usize,
     /// Transitions ever stored.
-    stored: u64,
+    total_stored: u64,
     /// Transitions in order of place.
     data: Vec<f32>,
     /// Places of transitions that ended in contact, oldest first.
-    contacts: VecDeque<u32>,
+    contact_indices: VecDeque<u32>,
 }
 
 /// Transitions drawn for one update, one row each.
@@ -140,10 +140,10 @@ impl Batch {
     }
 }
 
-impl Replay {
+impl ReplayBuffer {
     /// An empty memory for `capacity` transitions.
     #[must_use]
-    pub fn new(capacity: usize, remembered: Remembered) -> Self {
+    pub fn new(capacity: usize, remembered: TransitionLayout) -> Self {
         let width = remembered.numbers();
         Self { capacity: capacity.max(1), remembered, width, stored: 0, data: Vec::new(), contacts: VecDeque::new() }
     }
@@ -164,7 +164,7 @@ impl Replay {
     pub fn push(&mut self, transition: &Transition<'_>) {
         let place = (self.stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
-        let numbers: Vec<f32> = known.chain(transition.to_numbers()).collect();
+        let numbers: Vec<f32> = known.chain(transition.to_scalars()).collect();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
@@ -174,7 +174,7 @@ impl Replay {
                 oldest.iter_mut().zip(numbers).for_each(|(of_oldest, number)| *of_oldest = number);
             }
             None => {
-                self.make_room();
+                self.reserve_capacity();
                 self.data.extend(numbers);
             }
         }
@@ -186,7 +186,7 @@ impl Replay {
 
     /// Room for all that it will ever hold, so that it never has to move to a larger place, and is held twice meanwhile. Where there is none, it
     /// grows as it may.
-    fn make_room(&mut self) {
+    fn reserve_capacity(&mut self) {
         if self.data.len() == self.data.capacity() {
             let missing = self.capacity.saturating_mul(self.width).saturating_sub(self.data.len());
             let _ = self.data.try_reserve_exact(missing);
@@ -215,15 +215,15 @@ impl Replay {
 
     /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
     #[must_use]
-    pub(crate) fn as_numbers(&self) -> (u64, &[f32]) {
+    pub(crate) fn as_raw_parts(&self) -> (u64, &[f32]) {
         (self.stored, &self.data)
     }
 
-    /// The memory of which [`Replay::as_numbers`] tells; none if the numbers do not fit each other.
+    /// The memory of which [`ReplayBuffer::as_raw_parts`] tells; none if the numbers do not fit each other.
     #[must_use]
-    pub(crate) fn from_numbers(
+    pub(crate) fn from_raw_parts(
         capacity: usize,
-        remembered: Remembered,
+        remembered: TransitionLayout,
         stored: u64,
         numbers: Vec<f32>,
     ) -> Option<Self> {
@@ -238,7 +238,7 @@ impl Replay {
         Some(replay)
     }
 
-    fn at(&self, place: usize) -> Option<Transition<'_>> {
+    fn transition(&self, place: usize) -> Option<Transition<'_>> {
         let row = self.data.get(place * self.width..(place + 1) * self.width)?;
         Transition::from_numbers(row, self.remembered.state)
     }
@@ -251,11 +251,11 @@ mod tests {
     use proptest::prelude::*;
 
     /// Of networks that look back on three decisions.
-    const REMEMBERED: Remembered = Remembered { state: 24, privileged: 2 };
-    const SEEN: [f32; REMEMBERED.state] = [0.25; REMEMBERED.state];
-    const PRIVILEGED: [f32; 2 * REMEMBERED.privileged] = [0.5; 2 * REMEMBERED.privileged];
+    const LAYOUT: TransitionLayout = TransitionLayout { state: 24, privileged: 2 };
+    const STATE_ROW: [f32; LAYOUT.state] = [0.25; LAYOUT.state];
+    const PRIVILEGED_ROW: [f32; 2 * LAYOUT.privileged] = [0.5; 2 * LAYOUT.privileged];
 
-    fn numbered(number: usize) -> Transition<'static> {
+    fn numbered_transition(number: usize) -> Transition<'static> {
         Transition {
             state: &SEEN,
             next_state: &SEEN,
@@ -271,7 +271,7 @@ mod tests {
         /// The memory is always the last `capacity` transitions; contacts among them are known; it survives a checkpoint.
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
-            let mut replay = Replay::new(capacity, REMEMBERED);
+            let mut replay = ReplayBuffer::new(capacity, LAYOUT);
             (0..count).for_each(|number| replay.push(&numbered(number)));
             let kept = count.saturating_sub(capacity)..count;
             let reward = |place: usize| replay.data[place * replay.width + 2 * SEEN.len() + PRIVILEGED.len() + 1] as usize;
@@ -281,15 +281,15 @@ mod tests {
             let contacts: Vec<usize> = replay.contacts.iter().map(|&p| reward(p as usize)).collect();
             prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
             prop_assert_eq!(replay.data.capacity(), capacity * replay.width);
-            let (stored, numbers) = replay.as_numbers();
+            let (stored, numbers) = replay.as_raw_parts();
             let numbers = numbers.to_vec();
-            prop_assert_eq!(Replay::from_numbers(capacity, REMEMBERED, stored, numbers), Some(replay));
+            prop_assert_eq!(ReplayBuffer::from_numbers(capacity, LAYOUT, stored, numbers), Some(replay));
         }
     }
 
     #[test]
     fn draws_are_uniform_and_contacts_get_their_share() {
-        let mut replay = Replay::new(70, REMEMBERED);
+        let mut replay = ReplayBuffer::new(70, LAYOUT);
         (0..70).for_each(|number| replay.push(&numbered(number)));
         let mut batch = Batch::default();
         let mut counts = [0_u32; 70];

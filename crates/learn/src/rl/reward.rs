@@ -8,20 +8,20 @@ use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
 use super::source::EGO;
 use crumple_world::measure::{State, caused_brake_mps2};
-use crumple_world::sim::{Moment, Motion, Stepper};
+use crumple_world::sim::{StepView, Motion, Stepper};
 
 /// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
 pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
 /// Jerk that costs as much as its weight, in m/s³: full braking within a tenth of a second.
 const FULL_JERK_MPS3: f64 = 75.0;
 /// Difference of speeds that costs as much as its weight, in m/s.
-const FULL_DIFFERENCE_MPS: f64 = 10.0;
+const FULL_RELATIVE_SPEED_MPS: f64 = 10.0;
 /// By how much braking may exceed what has a cause, in m/s².
-const NEEDLESS_MARGIN_MPS2: f64 = 1.0;
+const UNNECESSARY_BRAKING_MARGIN_MPS2: f64 = 1.0;
 
 impl CostConfig {
     /// Returns the cost of a step, as a share of its reward. `before_mps2` is the ego's acceleration in the step before.
-    fn of(&self, now: &Moment<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
+    fn step_cost(&self, now: &StepView<'_>, before_mps2: f64, step_s: f64, departure: f64) -> f64 {
         let motion = now.motion;
         let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
         else {
@@ -42,7 +42,7 @@ impl CostConfig {
             motion.get(EGO + 1).map_or(0.0, |behind| -behind.acceleration_mps2 - (-front.acceleration_mps2).max(0.0));
         self.far * off.clamp(0.0, 1.0)
             + self.near * (-off).clamp(0.0, 1.0)
-            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_DIFFERENCE_MPS).min(1.0)
+            + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_RELATIVE_SPEED_MPS).min(1.0)
             + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
             + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
             + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
@@ -52,20 +52,20 @@ impl CostConfig {
 }
 
 /// What an agent earns, step by step.
-pub(super) struct Earnings {
+pub(super) struct RewardTracker {
     step_s: f64,
-    before_mps2: f64,
-    nothing_costs: bool,
+    previous_accel_mps2: f64,
+    is_free: bool,
 }
 
-impl Earnings {
+impl RewardTracker {
     pub(super) fn new(stepper: &Stepper, step_s: f64, costs: &CostConfig) -> Self {
         Self { step_s, before_mps2: acceleration_mps2(stepper.motion()), nothing_costs: costs.is_free() }
     }
 
     /// The reward of the step just made, unscaled.
     #[inline]
-    pub(super) fn of_step(&mut self, now: &Moment<'_>, config: &EnvironmentConfig, departure: f64) -> f64 {
+    pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig, departure: f64) -> f64 {
         if now.has_touched {
             return config.contact_reward;
         }
@@ -78,7 +78,7 @@ impl Earnings {
     }
 }
 
-fn acceleration_mps2(motion: &[Motion]) -> f64 {
+fn ego_accel_mps2(motion: &[Motion]) -> f64 {
     motion.get(EGO).map_or(0.0, |ego| ego.acceleration_mps2)
 }
 
@@ -93,12 +93,12 @@ mod tests {
     use crumple_world::sim::{RecordingLevel, Run, RunOptions};
 
     /// Paper-1 after one step in which the ego brakes at 4 m/s²: 25 m/s, a gap of 16 m, and a leader that keeps its speed.
-    fn earned(costs: CostConfig) -> f64 {
+    fn relative_step_reward(costs: CostConfig) -> f64 {
         let config = EnvironmentConfig { costs, ..TrainingConfig::preset("fast").unwrap().environment };
         let scenario = built_in("paper-1").unwrap();
         let run = Run::new(&scenario, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
-        let mut earnings = Earnings::new(&stepper, 0.01, &config.costs);
+        let mut earnings = RewardTracker::new(&stepper, 0.01, &config.costs);
         let mut earned = 0.0;
         stepper.drive(
             EGO,

@@ -16,26 +16,26 @@ use crumple_store::disk;
 use crumple_store::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards};
 use crumple_store::work::{Finished, Found, MANIFEST, WorkError, find};
 
-const SHARD: &str = "shard.json";
+const SHARD_FILE: &str = "shard.json";
 const VERSION: u32 = 1;
 /// The longest such file that is read.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 /// The most seeds.
-const MOST_SEEDS: u64 = 100_000;
+const MAX_SEEDS: u64 = 100_000;
 
 /// Why trainings do not go together.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum GatherError {
+pub enum MergeTrainingsError {
     /// A folder is damaged, or cannot be written.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    RunFolder(#[from] WorkError),
     /// Shards of several trainings.
     #[error(transparent)]
     Merge(#[from] MergeError),
     /// There are more shards than seeds.
     #[error(transparent)]
-    Shards(#[from] TooManyShards),
+    TooManyShards(#[from] TooManyShards),
     /// A training cannot be read.
     #[error(transparent)]
     Training(#[from] TrainingError),
@@ -65,15 +65,15 @@ impl TrainingShard {
         Ok(Self { sha256: sha256(whole.text()?), ..whole })
     }
 
-    fn text(&self) -> Result<String, TrainingError> {
+    fn to_json(&self) -> Result<String, TrainingError> {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
     /// Says in a folder of trainings what it is a shard of; another shard has to be the same.
     ///
     /// # Errors
-    /// [`GatherError`] if it cannot be written, or another one is there.
-    pub fn write_in(&self, folder: &Path) -> Result<(), GatherError> {
+    /// [`MergeTrainingsError`] if it cannot be written, or another one is there.
+    pub fn write_to(&self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let path = folder.join(SHARD);
         match path.exists() {
             true if Self::read(folder)? == *self => Ok(()),
@@ -85,8 +85,8 @@ impl TrainingShard {
     /// The shard that a folder of trainings is.
     ///
     /// # Errors
-    /// [`GatherError`] if the file is not there, or not as it was written.
-    pub fn read(folder: &Path) -> Result<Self, GatherError> {
+    /// [`MergeTrainingsError`] if the file is not there, or not as it was written.
+    pub fn read(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let path = folder.join(SHARD);
         let bytes = disk::read(&path, MOST_BYTES).map_err(WorkError::from)?;
         let bytes = bytes.ok_or_else(|| damaged(&path, "the file is missing: not a shard of trainings"))?;
@@ -98,7 +98,7 @@ impl TrainingShard {
         if read.version != VERSION || read.sha256 != sha256(whole) || read.text()?.into_bytes() != bytes {
             return Err(damaged(&path, "not as it was written").into());
         }
-        if read.seeds > MOST_SEEDS {
+        if read.seeds > MAX_SEEDS {
             return Err(damaged(&path, "seeds: more than are trained").into());
         }
         read.range().map_err(|error| damaged(&path, &error.to_string()))?;
@@ -109,15 +109,15 @@ impl TrainingShard {
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer seeds than shards.
-    pub(crate) fn range(&self) -> Result<Range<u64>, TooManyShards> {
+    pub(crate) fn seed_range(&self) -> Result<Range<u64>, TooManyShards> {
         self.shard.range(self.seeds, "seeds")
     }
 
     /// How they are trained.
     ///
     /// # Errors
-    /// [`GatherError`] if that is no configuration.
-    pub fn config(&self, folder: &Path) -> Result<TrainingConfig, GatherError> {
+    /// [`MergeTrainingsError`] if that is no configuration.
+    pub fn config(&self, folder: &Path) -> Result<TrainingConfig, MergeTrainingsError> {
         let path = folder.join(SHARD);
         let config = TrainingConfig::parse(&self.configuration, &path);
         Ok(config.map_err(|error| damaged(&path, &error.to_string()))?)
@@ -127,20 +127,20 @@ impl TrainingShard {
 /// Shards of one training of several seeds. Nothing is written before all of them were looked at.
 #[derive(Debug)]
 pub struct MergedTrainings {
-    whole: TrainingShard,
+    reference: TrainingShard,
     config: TrainingConfig,
     /// Of seeds.
     parts: Parts<()>,
     /// The seeds that are finished, each with the folder of its shard.
-    seeds: BTreeMap<u64, (PathBuf, Finished)>,
+    finished_seeds: BTreeMap<u64, (PathBuf, Finished)>,
 }
 
 impl MergedTrainings {
     /// Begins with a shard.
     ///
     /// # Errors
-    /// [`GatherError`] if it cannot be read.
-    pub fn of(folder: &Path) -> Result<Self, GatherError> {
+    /// [`MergeTrainingsError`] if it cannot be read.
+    pub fn from_shard(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let whole = TrainingShard::read(folder)?;
         let config = whole.config(folder)?;
         let mut merged = Self { whole, config, parts: Parts::of(folder), seeds: BTreeMap::new() };
@@ -151,11 +151,11 @@ impl MergedTrainings {
     /// Takes in another shard, finished or not.
     ///
     /// # Errors
-    /// [`GatherError`] if it is one of another training, a file is damaged, some of it was trained by another shard, or the same seed came
+    /// [`MergeTrainingsError`] if it is one of another training, a file is damaged, some of it was trained by another shard, or the same seed came
     /// to something else.
-    pub fn take(&mut self, folder: &Path) -> Result<(), GatherError> {
+    pub fn add_shard(&mut self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let shard = TrainingShard::read(folder)?;
-        let foreign = |field: &str| GatherError::from(self.parts.foreign(folder, field.to_owned()));
+        let foreign = |field: &str| MergeTrainingsError::from(self.parts.foreign(folder, field.to_owned()));
         if shard.configuration != self.whole.configuration {
             return Err(foreign("the configuration"));
         }
@@ -196,7 +196,7 @@ impl MergedTrainings {
 
     /// Of how many seeds, from 0.
     #[must_use]
-    pub fn seeds(&self) -> u64 {
+    pub fn seed_count(&self) -> u64 {
         self.whole.seeds
     }
 
@@ -209,8 +209,8 @@ impl MergedTrainings {
     /// Copies the seeds that are finished to the folder of the whole, beside those that are there.
     ///
     /// # Errors
-    /// [`GatherError`] if there is something else: then nothing was written.
-    pub fn write_in(&self, out: &Path) -> Result<(), GatherError> {
+    /// [`MergeTrainingsError`] if there is something else: then nothing was written.
+    pub fn write_to(&self, out: &Path) -> Result<(), MergeTrainingsError> {
         for (seed, (_, found)) in &self.seeds {
             found.is_in(&seed_folder(out, *seed))?;
         }
@@ -227,7 +227,7 @@ impl MergedTrainings {
 
 /// Whether a folder is one of trainings: its `shard.json` speaks of seeds, or it holds some. Other shards say in `work.json` what they are.
 #[must_use]
-pub fn is_of_trainings(folder: &Path) -> bool {
+pub fn is_trainings_folder(folder: &Path) -> bool {
     let is_seed = |path: PathBuf| {
         let name = path.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_prefix("seed-"));
         name.is_some_and(|number| number.parse::<u64>().is_ok()) && path.is_dir()
@@ -241,6 +241,6 @@ pub fn is_of_trainings(folder: &Path) -> bool {
     !folder.join(MANIFEST).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
 }
 
-fn damaged(path: &Path, problem: &str) -> WorkError {
+fn damaged_error(path: &Path, problem: &str) -> WorkError {
     WorkError::Damaged { path: path.to_owned(), problem: problem.to_owned() }
 }

@@ -23,12 +23,12 @@ pub trait ScenarioSource: Debug + Send + Sync {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField>;
 
     /// How many times their weights the costs of a step count in episode `index`.
-    fn costs_times(&self, _seed: u64, _index: u64) -> f64 {
+    fn cost_multiplier(&self, _seed: u64, _index: u64) -> f64 {
         1.0
     }
 
     /// How many times they count at most, and once at least.
-    fn most_costs_times(&self) -> f64 {
+    fn max_cost_multiplier(&self) -> f64 {
         1.0
     }
 
@@ -42,9 +42,9 @@ pub trait ScenarioSource: Debug + Send + Sync {
 
 /// The paper's distribution: what the presets train on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PaperDraws;
+pub struct PaperSource;
 
-impl ScenarioSource for PaperDraws {
+impl ScenarioSource for PaperSource {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         PaperDistribution { seed }.draw(index)
     }
@@ -68,13 +68,13 @@ impl ScenarioSource for Space {
 
 /// Two sources by turns.
 #[derive(Debug, Clone)]
-pub struct Blend {
+pub struct SourceMixture {
     first: Arc<dyn ScenarioSource>,
-    share: f64,
-    otherwise: Arc<dyn ScenarioSource>,
+    first_share: f64,
+    second: Arc<dyn ScenarioSource>,
 }
 
-impl Blend {
+impl SourceMixture {
     /// A `share` of the episodes, cut to `[0, 1]`, is drawn from `first`, the others from `otherwise`; each episode is the same
     /// as in its source alone.
     #[must_use]
@@ -82,16 +82,16 @@ impl Blend {
         Self { first, share: share.clamp(0.0, 1.0), otherwise }
     }
 
-    fn turn(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
+    fn source_for(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
         let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
         if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise }
     }
 }
 
 /// Sets the stream of the blend apart from that of a mixture inside it.
-const TURN: u64 = u64::MAX - 2;
+const MIXTURE_SEED_INDEX: u64 = u64::MAX - 2;
 
-impl ScenarioSource for Blend {
+impl ScenarioSource for SourceMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         self.turn(seed, index).draw(seed, index)
     }
@@ -110,19 +110,19 @@ impl ScenarioSource for Blend {
     }
 }
 
-fn name(source: &Arc<dyn ScenarioSource>) -> Result<String, serde_json::Error> {
+fn source_name(source: &Arc<dyn ScenarioSource>) -> Result<String, serde_json::Error> {
     Ok(source.identity()?.unwrap_or_else(|| "the paper's distribution".to_owned()))
 }
 
 /// A list of scenarios, such as counterexamples, mixed into another source.
 #[derive(Debug, Clone)]
-pub struct Mixed {
+pub struct CaseMixture {
     cases: Vec<Scenario>,
-    share: f64,
-    otherwise: Arc<dyn ScenarioSource>,
+    case_share: f64,
+    base: Arc<dyn ScenarioSource>,
 }
 
-impl Mixed {
+impl CaseMixture {
     /// A `share` of the episodes, cut to `[0, 1]`, drives one of `cases`, each of them equally likely and as it is, noise
     /// included; the others are drawn from `otherwise`, and are the same episode by episode as without the cases.
     #[must_use]
@@ -131,17 +131,17 @@ impl Mixed {
     }
 
     /// The case whose turn it is; none if it is the other source's.
-    fn case(&self, seed: u64, index: u64) -> Option<&Scenario> {
-        let mut stream = random::stream(random::derived_seed(seed, CHOICE), Purpose::ScenarioDraw, index);
+    fn case_for(&self, seed: u64, index: u64) -> Option<&Scenario> {
+        let mut stream = random::stream(random::derived_seed(seed, CASE_SEED_INDEX), Purpose::ScenarioDraw, index);
         let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.share;
         if is_turn { self.cases.get(stream.random_range(0..self.cases.len())) } else { None }
     }
 }
 
 /// Sets the stream of the mixture apart from those of what is mixed.
-const CHOICE: u64 = u64::MAX - 1;
+const CASE_SEED_INDEX: u64 = u64::MAX - 1;
 
-impl ScenarioSource for Mixed {
+impl ScenarioSource for CaseMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         self.case(seed, index).map_or_else(|| self.otherwise.draw(seed, index), |case| Ok(case.clone()))
     }
@@ -167,7 +167,7 @@ impl ScenarioSource for Mixed {
 
 /// Why the agent cannot be trained on a scenario; none if it can.
 #[must_use]
-pub fn unsuited(scenario: &Scenario) -> Option<String> {
+pub fn unsuitability(scenario: &Scenario) -> Option<String> {
     let vehicles = scenario.vehicles().iter().enumerate();
     let agents: Vec<usize> =
         vehicles.filter(|(_, vehicle)| vehicle.driver == Driver::UnderTest).map(|(index, _)| index).collect();
@@ -189,28 +189,28 @@ mod tests {
     #[test]
     fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
         let cases = vec![built_in("paper-1").unwrap(), built_in("paper-2").unwrap()];
-        let mixed = Mixed::new(cases.clone(), 0.3, Arc::new(PaperDraws));
+        let mixed = CaseMixture::new(cases.clone(), 0.3, Arc::new(PaperSource));
         let mut counts = [0_u32; 2];
         for index in 0..4000 {
             let drawn = mixed.draw(7, index).unwrap();
             match cases.iter().position(|case| *case == drawn) {
                 Some(case) => counts[case] += 1,
-                None => assert_eq!(drawn, PaperDraws.draw(7, index).unwrap()),
+                None => assert_eq!(drawn, PaperSource.draw(7, index).unwrap()),
             }
         }
         // Four standard deviations of a count of mean 600.
         assert!(counts.iter().all(|count| count.abs_diff(600) < 4 * 23), "{counts:?}");
-        let none = Mixed::new(Vec::new(), 1.0, Arc::new(PaperDraws));
-        assert_eq!(none.draw(7, 0).unwrap(), PaperDraws.draw(7, 0).unwrap());
+        let none = CaseMixture::new(Vec::new(), 1.0, Arc::new(PaperSource));
+        assert_eq!(none.draw(7, 0).unwrap(), PaperSource.draw(7, 0).unwrap());
     }
 
     #[test]
     fn a_blend_takes_its_share_of_each_source_as_it_is() {
         let space = crumple_world::scenario::space::built_in_space("high-risk").unwrap();
-        let blend = Blend::new(Arc::new(PaperDraws), 0.25, Arc::new(space.clone()));
+        let blend = SourceMixture::new(Arc::new(PaperSource), 0.25, Arc::new(space.clone()));
         let nominal = (0..2000).filter(|&index| {
             let drawn = blend.draw(7, index).unwrap();
-            let is_nominal = drawn == PaperDraws.draw(7, index).unwrap();
+            let is_nominal = drawn == PaperSource.draw(7, index).unwrap();
             assert!(is_nominal || drawn == space.draw(7, index).unwrap());
             is_nominal
         });
@@ -228,7 +228,7 @@ mod tests {
     #[test]
     fn a_source_is_known_by_its_cases_and_their_share() {
         let of = |name: &str, share| {
-            Mixed::new(vec![built_in(name).unwrap()], share, Arc::new(PaperDraws)).identity().unwrap()
+            CaseMixture::new(vec![built_in(name).unwrap()], share, Arc::new(PaperSource)).identity().unwrap()
         };
         assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
         assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
@@ -237,7 +237,7 @@ mod tests {
 
     #[test]
     fn scenarios_that_the_agent_cannot_drive_are_known() {
-        assert_eq!(unsuited(&PaperDraws.draw(0, 0).unwrap()), None);
+        assert_eq!(unsuited(&PaperSource.draw(0, 0).unwrap()), None);
         assert!(unsuited(&built_in("paper-3").unwrap()).unwrap().contains("found [1, 2, 3]"));
         let coarse = built_in("paper-1").unwrap().edited(|spec| spec.step_s = 0.02).unwrap();
         assert!(unsuited(&coarse).unwrap().contains("found 0.02"));

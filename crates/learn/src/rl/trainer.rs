@@ -9,23 +9,23 @@ use serde::{Deserialize, Serialize};
 use super::config::{TimeLimit, TrainingConfig};
 use super::config_error::ConfigError;
 use super::environment::{Ending, Episode, Terms, bounds};
-use super::evaluation::{Evaluation, HeldOut};
+use super::evaluation::{Evaluation, EvaluationSet};
 use super::learner::{Learner, Losses};
-use super::privileged::Privileged;
+use super::privileged::PrivilegedInfo;
 use super::replay::{Batch, Replay, Transition};
-use super::source::{PaperDraws, ScenarioSource, unsuited};
+use super::source::{PaperSource, ScenarioSource, unsuited};
 use crumple_core::digits::nearest;
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::work::WorkError;
 use crumple_world::control::ControllerSpec;
-use crumple_world::policy::{Network, POLICY_VERSION, Past, Policy, PolicyError, PolicyHeader};
+use crumple_world::policy::{Network, POLICY_VERSION, FrameStack, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
 use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// The critic may value a state at this many times the largest value that can be right before it counts as exploded.
-const EXPLODED: f64 = 10.0;
+const DIVERGENCE_FACTOR: f64 = 10.0;
 
 /// Why a training stops early.
 #[derive(Debug, thiserror::Error)]
@@ -50,10 +50,10 @@ pub enum TrainingError {
     },
     /// It cannot be trained so.
     #[error(transparent)]
-    Unusable(#[from] ConfigError),
+    Config(#[from] ConfigError),
     /// The agent cannot be trained on a scenario that was drawn.
     #[error("scenario `{name}` cannot be trained on: {problem}")]
-    Unsuited {
+    UnsuitableScenario {
         /// Name of the scenario.
         name: String,
         /// What is wrong.
@@ -76,16 +76,16 @@ pub enum TrainingError {
     Checkpoint(String),
     /// What the scenarios are drawn from cannot be written down.
     #[error("the scenarios of the training cannot be written down: {0}")]
-    Source(#[from] serde_json::Error),
+    SourceEncoding(#[from] serde_json::Error),
     /// How to train cannot be written down.
     #[error("the configuration cannot be written as TOML: {0}")]
-    Configuration(toml::ser::Error),
+    ConfigEncoding(toml::ser::Error),
     /// The folder holds another training.
     #[error("{0}")]
     OtherTraining(String),
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    RunFolder(#[from] WorkError),
     /// A folder, or the program that trains, cannot be read.
     #[error(transparent)]
     Disk(#[from] DiskError),
@@ -110,7 +110,7 @@ pub struct EpisodeRecord {
 
 /// The best policy so far.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Best {
+pub struct BestPolicy {
     /// Episode after which it was taken.
     pub episode: u64,
     /// How it did.
@@ -128,10 +128,10 @@ pub struct Trainer {
     pub(super) replay: Replay,
     pub(super) episode: u64,
     pub(super) decisions: u64,
-    pub(super) best: Option<Best>,
+    pub(super) best: Option<BestPolicy>,
     pub(super) mastered: bool,
     /// Mean of the actor's weights over updates, if that is what is judged; none before the first update.
-    pub(super) mean: Option<Network>,
+    pub(super) weight_average: Option<Network>,
     pub(super) source: Arc<dyn ScenarioSource>,
     batch: Batch,
 }
@@ -140,7 +140,7 @@ impl Trainer {
     /// A training on the paper's distribution, at its start.
     #[must_use]
     pub fn new(config: &TrainingConfig, seed: u64) -> Self {
-        Self::with_source(config, seed, Arc::new(PaperDraws))
+        Self::with_source(config, seed, Arc::new(PaperSource))
     }
 
     /// A training on scenarios from anywhere, at its start. Spaces that `config` names should be those of the source: policies state them.
@@ -163,7 +163,7 @@ impl Trainer {
 
     /// Starts the actor and its target from the weights of `policy`, if it is of the same shape; critics start anew.
     #[must_use]
-    pub fn from_policy(mut self, policy: &Policy) -> Self {
+    pub fn with_initial_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;
         if actor.network.sizes() == policy.network().sizes() {
             actor.network = policy.network().clone();
@@ -173,7 +173,7 @@ impl Trainer {
     }
 
     /// Goes on with another source until `episodes` are done. Networks and memory stay; the best policy is looked for anew.
-    pub fn turn_to(&mut self, source: Arc<dyn ScenarioSource>, episodes: u64) {
+    pub fn switch_source(&mut self, source: Arc<dyn ScenarioSource>, episodes: u64) {
         self.source = source;
         self.config.episodes = episodes;
         (self.best, self.mastered) = (None, false);
@@ -193,7 +193,7 @@ impl Trainer {
 
     /// The best policy so far.
     #[must_use]
-    pub fn best(&self) -> Option<&Best> {
+    pub fn best(&self) -> Option<&BestPolicy> {
         self.best.as_ref()
     }
 
@@ -205,12 +205,12 @@ impl Trainer {
 
     /// Whether an evaluation is due after the episode just done.
     #[must_use]
-    pub fn evaluation_is_due(&self) -> bool {
-        self.is_judged_on_the_way(self.episode) || self.episode == self.config.episodes
+    pub fn is_evaluation_due(&self) -> bool {
+        self.is_evaluation_episode(self.episode) || self.episode == self.config.episodes
     }
 
     /// Whether an evaluation is due after an episode, however many come after it.
-    pub(super) fn is_judged_on_the_way(&self, episode: u64) -> bool {
+    pub(super) fn is_evaluation_episode(&self, episode: u64) -> bool {
         episode.is_multiple_of(self.config.evaluation.every_episodes)
             && episode > self.config.exploration.random_episodes
     }
@@ -250,11 +250,11 @@ impl Trainer {
             u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
         let back = self.config.environment.observation.back();
-        let mut past = Past::default();
-        let privileged = Privileged::new(&scenario, self.source.costs_times(draws_seed, index));
+        let mut past = FrameStack::default();
+        let privileged = PrivilegedInfo::new(&scenario, self.source.costs_times(draws_seed, index));
         let is_privileged = self.config.learning.privileged_critic;
         let known_besides = |episode: &Episode| is_privileged.then(|| privileged.at(episode));
-        let mut state = past.look_back(back, &episode.state()).to_vec();
+        let mut state = past.push(back, &episode.state()).to_vec();
         let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {
             let action = match noise {
@@ -271,7 +271,7 @@ impl Trainer {
                 }
             };
             let after = episode.decide(action);
-            let next_state = past.look_back(back, &after.next_state);
+            let next_state = past.push(back, &after.next_state);
             besides.extend(known_besides(&episode).into_iter().flatten());
             self.replay.push(&Transition {
                 state: &state,
@@ -294,7 +294,7 @@ impl Trainer {
                 sums.critic += losses.critic;
                 sums.mean_value += losses.mean_value;
                 updates += 1;
-                self.take_into_mean();
+                self.update_weight_average();
             }
             if after.ending != Ending::None {
                 break after.ending;
@@ -329,7 +329,7 @@ impl Trainer {
         // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
         let is_whole =
             self.learner.networks().all(|network| network.parameters().iter().all(|value| value.is_finite()));
-        if is_whole && critic_loss.is_finite() && mean_value.abs() <= EXPLODED * largest_value {
+        if is_whole && critic_loss.is_finite() && mean_value.abs() <= DIVERGENCE_FACTOR * largest_value {
             return Ok(());
         }
         let (seed, episode) = (self.seed, record.episode);
@@ -341,13 +341,13 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
-    pub fn evaluate(&mut self, held_out: &HeldOut) -> Result<Evaluation, TrainingError> {
+    pub fn evaluate(&mut self, held_out: &EvaluationSet) -> Result<Evaluation, TrainingError> {
         let network = self.judged().clone();
-        let policy = Arc::new(self.policy_of(network.clone(), self.episode)?);
+        let policy = Arc::new(self.build_policy(network.clone(), self.episode)?);
         let evaluation = held_out.evaluate(&policy)?;
         let better = self.best.as_ref().is_none_or(|best| evaluation.score() > best.evaluation.score());
         if better {
-            self.best = Some(Best { episode: self.episode, evaluation, network });
+            self.best = Some(BestPolicy { episode: self.episode, evaluation, network });
         }
         let master_gap_m = self.config.evaluation.master_gap_m;
         self.mastered |= self.episode > 0 && master_gap_m > 0.0 && evaluation.is_mastered(master_gap_m);
@@ -360,18 +360,18 @@ impl Trainer {
     /// [`TrainingError::Policy`] in principle; the trainer makes only valid ones.
     pub fn policy(&self) -> Result<Policy, TrainingError> {
         match &self.best {
-            Some(best) => self.policy_of(best.network.clone(), best.episode),
-            None => self.policy_of(self.judged().clone(), self.episode),
+            Some(best) => self.build_policy(best.network.clone(), best.episode),
+            None => self.build_policy(self.judged().clone(), self.episode),
         }
     }
 
     /// The actor that drives where nothing is tried out.
-    fn judged(&self) -> &Network {
+    fn evaluation_network(&self) -> &Network {
         self.mean.as_ref().unwrap_or(&self.learner.actor.network)
     }
 
     /// The actor's weights after an update become part of their mean: a plain one over the first updates, one that forgets after that.
-    fn take_into_mean(&mut self) {
+    fn update_weight_average(&mut self) {
         let over = self.config.evaluation.mean_over_updates;
         if over == 0 {
             return;
@@ -384,7 +384,7 @@ impl Trainer {
         }
     }
 
-    fn policy_of(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
+    fn build_policy(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
         let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
         if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?) {
             training.insert("scenarios".to_owned(), source.into());

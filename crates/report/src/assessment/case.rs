@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
-use super::commands::controller_word;
+use super::commands::controller_arg;
 use super::table::Mark;
 use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
@@ -18,15 +18,15 @@ use crumple_world::sim::{
 /// Where several vehicles are under test, each measure is that of the vehicle that fared worst by it.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Case {
+pub struct CaseResult {
     /// The controller's name.
     pub controller: String,
     /// Whether and how vehicles touched.
     pub verdict: CaseVerdict,
     /// Towards the vehicle ahead of a vehicle under test.
-    pub ahead: Towards,
+    pub ahead: RoundedLeadMeasures,
     /// Of the vehicle behind towards a vehicle under test.
-    pub behind: Towards,
+    pub behind: RoundedLeadMeasures,
     /// Smallest gap between any two vehicles until the first contact, in metres.
     pub min_gap_m: Option<Rounded<2>>,
     /// How much more the best escape found kept of it, in metres; none where that is not known, or where others crashed first.
@@ -36,12 +36,13 @@ pub struct Case {
     /// Largest jerk of a vehicle under test, in m/s³.
     pub peak_jerk_mps3: Option<Rounded<1>>,
     /// Hardest deceleration of the vehicle behind one under test, in m/s².
-    pub imposed_brake_mps2: Option<Rounded<2>>,
+    #[serde(rename = "imposed_brake_mps2")]
+    pub induced_brake_mps2: Option<Rounded<2>>,
     /// What follows if all vehicles drive on after the first contact.
     pub pile_up: Option<PileUp>,
     /// The controller as a command names it; none for one from outside.
     #[serde(skip)]
-    pub(super) word: Option<String>,
+    pub(super) controller_arg: Option<String>,
     /// The motion until the first contact, for the figure.
     #[serde(skip)]
     pub(super) motion: Option<(Trace, Vec<Impact>)>,
@@ -64,7 +65,8 @@ pub enum CaseVerdict {
     /// A vehicle under test was hit from behind, by a vehicle that is not.
     WasHit(RoundedContact),
     /// Two vehicles touched that are both not under test: this says nothing of the controller.
-    Others(RoundedContact),
+    #[serde(rename = "others")]
+    OthersCollided(RoundedContact),
     /// The controller gave no usable answer, and the run ended there.
     ControllerFailed {
         /// When, in seconds.
@@ -96,7 +98,7 @@ pub struct RoundedContact {
 /// Measures of one vehicle towards the one ahead of it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Towards {
+pub struct RoundedLeadMeasures {
     /// Smallest gap, in metres.
     pub min_gap_m: Option<Rounded<2>>,
     /// Smallest time to collision, in seconds.
@@ -132,7 +134,7 @@ pub struct PileUp {
 impl CaseVerdict {
     /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
     #[must_use]
-    pub fn of(simulated: &Simulated, scenario: &Scenario) -> Self {
+    pub fn new(simulated: &Simulated, scenario: &Scenario) -> Self {
         if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed() {
             return Self::ControllerFailed {
                 time_s: (*time_s).into(),
@@ -172,7 +174,7 @@ impl CaseVerdict {
 
     /// Whether the run says anything of the controller: not if others crashed first.
     #[must_use]
-    pub fn counts(&self) -> bool {
+    pub fn is_conclusive(&self) -> bool {
         !matches!(self, Self::Others(_))
     }
 
@@ -186,7 +188,7 @@ impl CaseVerdict {
 
     /// The verdict in a few words.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         let at = |contact: &RoundedContact| format!("{} s, {} m/s", contact.time_s, contact.impact_speed_mps);
         match self {
             Self::Safe { closing_ttc_s: None } => "no contact".to_owned(),
@@ -228,9 +230,9 @@ impl From<&Contact> for RoundedContact {
 
 /// Whether cases keep their motion, for figures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Motion {
-    Kept,
-    Dropped,
+pub(super) enum MotionRetention {
+    Keep,
+    Drop,
 }
 
 /// Runs every controller in every scenario and reports scenario by scenario, in the order given.
@@ -238,8 +240,8 @@ pub(super) fn run_cases(
     scenarios: &[&Scenario],
     controllers: &[NamedController],
     estimator: EstimatorKind,
-    motion: Motion,
-) -> Result<Vec<Vec<Case>>, RunError> {
+    motion: MotionRetention,
+) -> Result<Vec<Vec<CaseResult>>, RunError> {
     let prepare = |scenario, controller: &NamedController, after_contact| {
         let options =
             RunOptions::new(controller.kind.clone()).with_estimator(estimator).with_after_contact(after_contact);
@@ -248,8 +250,8 @@ pub(super) fn run_cases(
     let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
     let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
     let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-        let mut case = Case::of(pairs[index].0, pairs[index].1, simulated);
-        if motion == Motion::Dropped {
+        let mut case = CaseResult::of(pairs[index].0, pairs[index].1, simulated);
+        if motion == MotionRetention::Dropped {
             case.motion = None;
         }
         case
@@ -267,7 +269,7 @@ pub(super) fn run_cases(
 }
 
 impl PileUp {
-    fn of(simulated: &Simulated) -> Option<Self> {
+    fn from_simulated(simulated: &Simulated) -> Option<Self> {
         let of = |vehicle| measure::max_delta_v_mps(&simulated.impacts, vehicle);
         (!simulated.impacts.is_empty()).then(|| Self {
             impacts: simulated.impacts.len(),
@@ -277,8 +279,8 @@ impl PileUp {
     }
 }
 
-impl Case {
-    fn of(scenario: &Scenario, controller: &NamedController, simulated: Simulated) -> Self {
+impl CaseResult {
+    fn new(scenario: &Scenario, controller: &NamedController, simulated: Simulated) -> Self {
         let trace = simulated.trace.as_ref();
         let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
         let under_test: Vec<usize> =
@@ -288,8 +290,8 @@ impl Case {
         Self {
             controller: controller.name.clone(),
             verdict: CaseVerdict::of(&simulated, scenario),
-            ahead: Towards::worst(&own),
-            behind: Towards::worst(&followers),
+            ahead: RoundedLeadMeasures::worst(&own),
+            behind: RoundedLeadMeasures::worst(&followers),
             min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m)).map(Rounded::new),
             regret_m: None,
             peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
@@ -297,13 +299,13 @@ impl Case {
             imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))
                 .map(Rounded::new),
             pile_up: None,
-            word: controller_word(&controller.kind),
+            word: controller_arg(&controller.kind),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
         }
     }
 }
 
-impl Towards {
+impl RoundedLeadMeasures {
     fn worst(vehicles: &[Measures]) -> Self {
         let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
         // At a contact the deceleration that would have avoided it grows without bound: no number is the worst one.

@@ -11,7 +11,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::parts::scenario_file;
-use super::plan::{NamedSpace, file_stem};
+use super::figure_layout::{NamedSpace, file_stem};
 use super::{AssessmentPlan, StoreError};
 use crumple_core::digest::sha256;
 use crumple_core::quoted::ShellWord;
@@ -25,7 +25,7 @@ use crumple_world::sim::ControllerKind;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
-pub struct Command {
+pub struct CrumpleCommand {
     arguments: Vec<String>,
 }
 
@@ -39,25 +39,25 @@ pub struct CommandFile {
     pub(super) contents: Vec<u8>,
 }
 
-impl Command {
+impl CrumpleCommand {
     /// Of these arguments.
     pub(super) fn new<W: Into<String>>(arguments: impl IntoIterator<Item = W>) -> Self {
         Self { arguments: arguments.into_iter().map(Into::into).collect() }
     }
 
     /// With more of them.
-    pub(super) fn and<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
+    pub(super) fn with_args<W: Into<String>>(mut self, arguments: impl IntoIterator<Item = W>) -> Self {
         self.arguments.extend(arguments.into_iter().map(Into::into));
         self
     }
 
     /// The arguments, quoted for a shell.
-    pub(super) fn quoted(&self) -> String {
+    pub(super) fn shell_quoted(&self) -> String {
         self.arguments.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ")
     }
 }
 
-impl fmt::Display for Command {
+impl fmt::Display for CrumpleCommand {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "crumple {}", self.quoted())
     }
@@ -65,12 +65,12 @@ impl fmt::Display for Command {
 
 /// The controller as a command in the folder of the report names it; none for a process, whose files lie elsewhere, and for one
 /// from outside.
-pub(super) fn controller_word(kind: &ControllerKind) -> Option<String> {
+pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     match kind {
         ControllerKind::BuiltIn(spec) => Some(spec.words()),
         ControllerKind::Policy(policy) => Some(policy_file(policy)),
         ControllerKind::Shielded(shielded) => {
-            Some(format!("shield{}:{}", shielded.settings.words(), controller_word(&shielded.controller)?))
+            Some(format!("shield{}:{}", shielded.settings.words(), controller_arg(&shielded.controller)?))
         }
         ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
         ControllerKind::Process(_) | ControllerKind::Custom(_) => None,
@@ -83,7 +83,7 @@ fn network_path(name: &str) -> String {
 }
 
 /// The network from outside that drives, behind a shield or not.
-fn network(kind: &ControllerKind) -> Option<&NetworkController> {
+fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
     match kind {
         ControllerKind::Network(network) => Some(network),
         ControllerKind::Shielded(shielded) => network(&shielded.controller),
@@ -92,14 +92,14 @@ fn network(kind: &ControllerKind) -> Option<&NetworkController> {
 }
 
 /// Where a policy lies, from the folder of the report.
-fn policy_file(policy: &Policy) -> String {
+fn policy_path(policy: &Policy) -> String {
     let digest = policy.digest();
     format!("controllers/{}.safetensors", digest.get(..16).unwrap_or(&digest))
 }
 
 impl NamedSpace {
     /// The space as a command names it.
-    pub(super) fn word(&self) -> String {
+    pub(super) fn to_arg(&self) -> String {
         if self.is_built_in() { self.name.clone() } else { self.file() }
     }
 
@@ -108,14 +108,14 @@ impl NamedSpace {
     }
 
     /// Where an own space lies, from the folder of the report.
-    fn file(&self) -> String {
+    fn path(&self) -> String {
         format!("spaces/{}.toml", file_stem(self.space.name()))
     }
 }
 
 impl AssessmentPlan {
     /// The options that make a command look through what this plan looks through.
-    pub(super) fn estimator_words(&self) -> &'static [&'static str] {
+    pub(super) fn estimator_args(&self) -> &'static [&'static str] {
         match self.config.estimator {
             EstimatorKind::Kalman => &[],
             EstimatorKind::Truth => &["--estimator", "truth"],
@@ -126,7 +126,7 @@ impl AssessmentPlan {
     ///
     /// # Errors
     /// [`StoreError::Encoding`] if one of them cannot be written down.
-    pub(super) fn files_beside(&self) -> Result<Vec<CommandFile>, StoreError> {
+    pub(super) fn command_files(&self) -> Result<Vec<CommandFile>, StoreError> {
         let mut files: Vec<CommandFile> = Vec::new();
         let mut add = |file: String, contents: Vec<u8>| {
             if !files.iter().any(|known| known.file == file) {
@@ -135,14 +135,14 @@ impl AssessmentPlan {
         };
         for controller in &self.controllers {
             // Only policies that were read from files have no other name.
-            if let (Some(word), Some(policy)) = (controller_word(&controller.kind), controller.policy())
+            if let (Some(word), Some(policy)) = (controller_arg(&controller.kind), controller.policy())
                 && word.ends_with(&policy_file(&policy))
             {
                 add(policy_file(&policy), policy.to_bytes().map_err(StoreError::encoding)?);
             }
         }
         for network in self.controllers.iter().filter_map(|controller| network(&controller.kind)) {
-            for (name, contents) in controller_file::files_of(network).map_err(StoreError::encoding)? {
+            for (name, contents) in controller_file::to_files(network).map_err(StoreError::encoding)? {
                 add(network_path(&name), contents);
             }
         }
@@ -167,7 +167,7 @@ impl AssessmentPlan {
 }
 
 /// A script that runs commands one after the other and says which of them did not do what it should.
-pub(super) fn script<'a>(commands: impl Iterator<Item = &'a Command>) -> String {
+pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleCommand>) -> String {
     let mut script = String::from(
         "#!/bin/sh\n\
          # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names the program.\n\
@@ -181,7 +181,7 @@ pub(super) fn script<'a>(commands: impl Iterator<Item = &'a Command>) -> String 
     script += "run fsck .\nrun check --rerun certificates/*.json\n";
     // Controllers that fail at one point of a suite share the escape from it.
     let mut said = BTreeSet::new();
-    for command in commands.map(Command::quoted).filter(|command| said.insert(command.clone())) {
+    for command in commands.map(CrumpleCommand::quoted).filter(|command| said.insert(command.clone())) {
         script += &format!("run {command}\n");
     }
     script + "exit $failed\n"

@@ -90,7 +90,8 @@ pub struct SearchConfig {
     /// What must hold besides that nobody touches, each searched for by itself with that budget: rules of conduct or formulas, as
     /// `crumple falsify --spec` takes them. Default none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub rules: Vec<String>,
+    #[serde(rename = "rules")]
+    pub specifications: Vec<String>,
 }
 
 impl Default for SearchConfig {
@@ -127,7 +128,7 @@ fn all_controllers() -> Vec<String> {
     names
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
@@ -149,7 +150,7 @@ impl AssessConfig {
 
     /// The spaces that are searched for failures, as they are named.
     #[must_use]
-    pub fn searched(&self) -> Vec<String> {
+    pub fn search_spaces(&self) -> Vec<String> {
         let of_the_paper = self.paper.then(|| "paper".to_owned());
         let unless_named = || of_the_paper.into_iter().chain(["high-risk".to_owned()]).collect();
         self.search.spaces.clone().unwrap_or_else(unless_named)
@@ -187,7 +188,7 @@ impl Default for AssessConfig {
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ConfigError {
+pub enum AssessConfigError {
     /// The configuration, or a scenario file it names, cannot be read.
     #[error(transparent)]
     File(#[from] FileError),

@@ -9,12 +9,12 @@ use super::table::Table;
 
 /// A text with two forms: HTML with figures, and Markdown without.
 #[derive(Debug, Default)]
-pub struct Document {
+pub struct ReportDocument {
     html: String,
     markdown: Markdown,
 }
 
-impl Document {
+impl ReportDocument {
     /// Writes a paragraph; text between backticks is code.
     pub(super) fn paragraph(&mut self, text: &str) {
         self.html(html! { p { (prose(text)) } });
@@ -57,7 +57,7 @@ impl Document {
     }
 
     /// Writes what only HTML shows, such as a figure.
-    pub(super) fn html(&mut self, markup: impl Render) {
+    pub(super) fn push_html(&mut self, markup: impl Render) {
         markup.render_to(&mut self.html);
     }
 
@@ -72,12 +72,12 @@ impl Document {
     }
 
     /// Returns the Markdown, for what only Markdown shows.
-    pub(super) fn markdown(&mut self) -> &mut Markdown {
+    pub(super) fn markdown_mut(&mut self) -> &mut Markdown {
         &mut self.markdown
     }
 
     /// Writes blocks that HTML shows on demand, below a summary.
-    pub(super) fn folded(&mut self, summary: &str, write: impl FnOnce(&mut Self)) {
+    pub(super) fn collapsible(&mut self, summary: &str, write: impl FnOnce(&mut Self)) {
         self.html += "<details>";
         self.html(html! { summary { (summary) } });
         write(self);

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::claims::{Claim, Domain, Property, Strength};
 use super::parts::EVERYDAY_SPACES;
-use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, ProofStatus, Rounded, Useful};
+use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, CertificateStatus, Rounded, Useful};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::sim::Unanswered;
 
@@ -16,7 +16,7 @@ use crumple_world::sim::Unanswered;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
-pub enum Gate {
+pub enum AssessmentGate {
     /// A controller collides in none of the paper's scenarios.
     NoContactInPaperScenarios {
         /// The controller.
@@ -63,7 +63,8 @@ pub enum Gate {
         space: String,
     },
     /// In everyday traffic a controller brakes without cause in at most this share of its drives.
-    NeedlessBrakingAtMost {
+    #[serde(rename = "needless-braking-at-most")]
+    UnnecessaryBrakingAtMost {
         /// The controller.
         controller: String,
         /// Largest share that passes, in percent.
@@ -131,7 +132,7 @@ pub struct GateResult {
     pub because: String,
 }
 
-impl Gate {
+impl AssessmentGate {
     /// The names of the controllers it is about, each with its field.
     pub(super) fn controllers_mut(&mut self) -> Vec<(&'static str, &mut String)> {
         match self {
@@ -151,7 +152,7 @@ impl Gate {
     }
 
     /// What of it no assessment of this configuration could judge: the field, and what is wrong with it.
-    pub(super) fn problem(&self, config: &AssessConfig) -> Option<(&'static str, String)> {
+    pub(super) fn config_problem(&self, config: &AssessConfig) -> Option<(&'static str, String)> {
         let needs_drives =
             || (config.everyday_draws == 0).then(|| ("require", "needs `everyday_draws` above 0".to_owned()));
         match self {
@@ -180,7 +181,7 @@ impl Gate {
         }
     }
 
-    pub(super) fn judge(&self, plan: &AssessmentPlan, found: &Assessment) -> GateResult {
+    pub(super) fn evaluate(&self, plan: &AssessmentPlan, found: &Assessment) -> GateResult {
         let (holds, because) = match self {
             Self::NoContactInPaperScenarios { controller } => {
                 let paper = found.paper_scenarios.as_ref().map_or(&[][..], |paper| &paper.scenarios);
@@ -190,30 +191,30 @@ impl Gate {
                 Some(traffic) => no_contact(&traffic.scenarios, controller),
                 None => (false, "the configuration names no scenarios".to_owned()),
             },
-            Self::NoCollisionInSpace { controller, space } => no_collision_in_space(plan, found, controller, space),
+            Self::NoCollisionInSpace { controller, space } => check_no_collision_in_space(plan, found, controller, space),
             Self::RateAtMost { controller, percent, space } => {
                 rate_at_most(plan, found, controller, *percent, space.as_deref())
             }
             Self::RateNotAbove { controller, than, space } => {
-                rate_not_above(plan, found, [controller, than], space.as_deref())
+                check_rate_not_above(plan, found, [controller, than], space.as_deref())
             }
-            Self::NoAvoidableFailure { controller, space } => no_avoidable_failure(found, controller, space),
+            Self::NoAvoidableFailure { controller, space } => check_no_avoidable_failure(found, controller, space),
             Self::NeedlessBrakingAtMost { controller, percent } => {
-                drives_at_most(found, controller, *percent, |useful| useful.needless)
+                check_drives_at_most(found, controller, *percent, |useful| useful.needless)
             }
             Self::LeftBehindAtMost { controller, percent } => {
-                drives_at_most(found, controller, *percent, |useful| useful.left_behind)
+                check_drives_at_most(found, controller, *percent, |useful| useful.left_behind)
             }
-            Self::StringStable { controller } => string_stable(found, controller),
-            Self::SuitePassed { controller, suite } => suite_passed(plan, found, controller, suite),
-            Self::ProofsAccepted {} => proofs_accepted(found),
-            Self::NothingWorse {} => nothing_worse(found.comparison.as_ref()),
+            Self::StringStable { controller } => check_string_stable(found, controller),
+            Self::SuitePassed { controller, suite } => check_suite_passed(plan, found, controller, suite),
+            Self::ProofsAccepted {} => check_proofs_accepted(found),
+            Self::NothingWorse {} => check_nothing_worse(found.comparison.as_ref()),
             Self::NoContactInTraffic(never) => match *never {},
         };
         GateResult { gate: self.words(plan), holds, because }
     }
 
-    fn words(&self, plan: &AssessmentPlan) -> String {
+    fn describe(&self, plan: &AssessmentPlan) -> String {
         let named = |space: &Option<String>| {
             let only = || plan.distributions.first().map(|named| named.name.clone()).unwrap_or_default();
             space.clone().unwrap_or_else(only)
@@ -254,7 +255,7 @@ impl Gate {
     }
 }
 
-fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
+fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
     let of_controller = || {
         scenarios.iter().flat_map(|scenario| {
             let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
@@ -277,7 +278,7 @@ fn no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, St
 }
 
 /// Judges all random scenarios of a space that were simulated: those of `distributions`, and the drives in everyday traffic and danger.
-fn no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+fn check_no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: &str, space: &str) -> (bool, String) {
     let place = plan.distributions.iter().position(|named| named.name == space);
     let drawn = place.and_then(|place| found.distributions.spaces.get(place)).and_then(|drawn| {
         let of_controller = drawn.controllers.iter().find(|sampled| sampled.controller == controller)?;
@@ -305,14 +306,14 @@ fn no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: 
 }
 
 /// The strongest that is known, whether it was counted for a certificate or not.
-fn rate_at_most(
+fn check_rate_at_most(
     plan: &AssessmentPlan,
     found: &Assessment,
     controller: &str,
     percent: f64,
     space: Option<&str>,
 ) -> (bool, String) {
-    let named = asked_of(plan, space).and_then(|place| plan.distributions.get(place));
+    let named = space_index(plan, space).and_then(|place| plan.distributions.get(place));
     let place = plan.controllers.iter().position(|one| one.name == controller);
     let subject = place.and_then(|place| plan.claimant(place, plan.config.estimator));
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
@@ -324,13 +325,13 @@ fn rate_at_most(
 }
 
 /// A draw that was cut short counts against the controller.
-fn rate_not_above(
+fn check_rate_not_above(
     plan: &AssessmentPlan,
     found: &Assessment,
     [controller, than]: [&str; 2],
     space: Option<&str>,
 ) -> (bool, String) {
-    let drawn = asked_of(plan, space).and_then(|place| found.distributions.spaces.get(place));
+    let drawn = space_index(plan, space).and_then(|place| found.distributions.spaces.get(place));
     let Some(drawn) = drawn.filter(|drawn| drawn.draws > 0) else { return (false, "no draws were made".to_owned()) };
     let of = |name: &str| drawn.controllers.iter().find(|sampled| sampled.controller == name);
     let (Some(own), Some(other)) = (of(controller), of(than)) else {
@@ -353,16 +354,16 @@ fn rate_not_above(
 }
 
 /// The place of the space that a gate asks for, as the configuration names it, among those that are drawn from.
-fn asked_of(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
+fn space_index(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
     plan.distributions.iter().position(|named| space.is_none_or(|space| named.name == space))
 }
 
-fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+fn check_no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (bool, String) {
     let searches = found.searches.spaces.iter().filter(|of| of.name == space).flat_map(|of| &of.controllers);
     let Some(search) = searches.into_iter().find(|search| search.controller == controller) else {
         return (false, "it was not searched for".to_owned());
     };
-    if let Some(words) = search.silent_words() {
+    if let Some(words) = search.describe_unanswered() {
         return (false, format!("it {words}"));
     }
     let not_asked = search.count(AvoidabilityClass::NotAsked);
@@ -375,7 +376,7 @@ fn no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (b
     }
 }
 
-fn drives_at_most(
+fn check_drives_at_most(
     found: &Assessment,
     controller: &str,
     percent: f64,
@@ -392,7 +393,7 @@ fn drives_at_most(
     (share <= percent, format!("{} of {} drives{words}", count(useful), all.draws))
 }
 
-fn string_stable(found: &Assessment, controller: &str) -> (bool, String) {
+fn check_string_stable(found: &Assessment, controller: &str) -> (bool, String) {
     let line = found.usefulness.as_ref().and_then(|all| Some(&all.of(controller)?.line));
     line.map_or((false, "no line was driven".to_owned()), |line| (line.holds(), line.words()))
 }
@@ -406,7 +407,7 @@ fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Opt
 }
 
 /// What cannot be run does not count; but something has to.
-fn suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &str, suite: &str) -> (bool, String) {
+fn check_suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &str, suite: &str) -> (bool, String) {
     let place = plan.suites.iter().position(|planned| planned.named == suite);
     let of_controller = place.zip(found.suites.as_ref());
     let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.of(*place, controller)).collect();
@@ -458,8 +459,8 @@ fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'stat
     }
 }
 
-fn proofs_accepted(found: &Assessment) -> (bool, String) {
-    let claims_to_prove = |one: &&Proof| !matches!(one.status, ProofStatus::NothingShown { .. });
+fn check_proofs_accepted(found: &Assessment) -> (bool, String) {
+    let claims_to_prove = |one: &&Proof| !matches!(one.status, CertificateStatus::NothingShown { .. });
     let certificates: Vec<_> = found.proofs.certificates.iter().filter(claims_to_prove).collect();
     let all = certificates.len();
     let rejected: Vec<_> = certificates.iter().filter(|one| !one.is_accepted()).collect();
@@ -469,10 +470,10 @@ fn proofs_accepted(found: &Assessment) -> (bool, String) {
     }
 }
 
-fn nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
+fn check_nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
     match comparison {
         None => (false, "there is no earlier assessment: name one with --against".to_owned()),
-        Some(comparison) if comparison.is_of_nothing() => {
+        Some(comparison) if comparison.has_no_overlap() => {
             (false, "the earlier assessment says nothing that this one says".to_owned())
         }
         Some(comparison) => {

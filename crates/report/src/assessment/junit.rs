@@ -2,11 +2,11 @@
 
 use super::{Assessment, Gate, GateResult, SuiteFindings};
 use crate::junit::{self, Case, Status, Suite};
-use crumple_suites::STATEMENT;
+use crumple_suites::DISCLAIMER;
 
 /// Renders gates and the tests of suites as test cases. A build fails only because of a gate; claims about controllers
 /// are properties, which fail no build.
-pub(super) fn xml(assessment: &Assessment) -> String {
+pub(super) fn render_junit(assessment: &Assessment) -> String {
     let mut gates = Suite { name: "gates".to_owned(), ..Suite::default() };
     gates.cases = assessment.summary.gates.iter().map(case).collect();
     for row in &assessment.summary.claims {
@@ -22,7 +22,7 @@ pub(super) fn xml(assessment: &Assessment) -> String {
 }
 
 /// Lists the tests of a suite. A failed test is a failure if a gate requires the suite, and is skipped with its result otherwise.
-fn tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> Suite {
+fn suite_tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> Suite {
     let config = &assessment.provenance.config;
     let is_required = |controller: &str| {
         config.gates.iter().any(|gate| {
@@ -47,7 +47,7 @@ fn tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> Suite 
             });
         }
     }
-    let properties = [("statement", STATEMENT), ("document", &found.document)];
+    let properties = [("statement", DISCLAIMER), ("document", &found.document)];
     Suite {
         name: format!("suite {}", found.suite.name),
         properties: properties.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),
@@ -55,7 +55,7 @@ fn tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> Suite 
     }
 }
 
-fn case(gate: &GateResult) -> Case {
+fn gate_case(gate: &GateResult) -> Case {
     Case {
         name: gate.gate.to_string(),
         status: if gate.holds { Status::Passed } else { Status::Failed },

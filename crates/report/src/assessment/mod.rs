@@ -1,10 +1,10 @@
 //! The assessment: which controller is safer, how we know, and where it still fails.
 //!
-//! [`assess`] gathers evidence into one typed value, an [`Assessment`]; Markdown, HTML and JSON are all rendered from it.
-//! It is made of parts, each with its own evidence type and its own rendering (see [`Part`]); adding one means a file
-//! under `parts/`, a field of [`Assessment`] and a line in [`Assessment::parts`].
+//! [`assess`] gathers evidence into one typed value, an [`AssessmentReport`]; Markdown, HTML and JSON are all rendered from it.
+//! It is made of parts, each with its own evidence type and its own rendering (see [`ReportPart`]); adding one means a file
+//! under `parts/`, a field of [`AssessmentReport`] and a line in [`AssessmentReport::parts`].
 
-mod best;
+mod avoidance;
 mod case;
 mod claims;
 mod commands;
@@ -14,15 +14,15 @@ mod gate;
 mod junit;
 mod page;
 mod parts;
-mod pieces;
-mod plan;
+mod evidence_tasks;
+mod figure_layout;
 mod planned_suite;
 mod prose;
 mod rounded;
 mod shard;
-mod store;
+mod cache;
 mod table;
-mod work;
+mod gather_context;
 
 use crate::markdown;
 
@@ -30,11 +30,11 @@ use maud::Markup;
 use serde::Serialize;
 
 pub use crate::markdown::Markdown;
-pub use best::Best;
-pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, Towards};
+pub use avoidance::Best;
+pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, RoundedLeadMeasures};
 pub use claims::{
-    Beside, Claim, Domain, Evidence, Known, LEAST_CONFIDENCE_PERCENT, Ledger, Property, Rule, Source, Standing,
-    Strength, Subject, Words,
+    Beside, Claim, Domain, Evidence, Known, MIN_CONFIDENCE_PERCENT, Ledger, Property, Rule, Source, Standing,
+    Strength, Subject, UncomparedText,
 };
 pub use commands::{Command, CommandFile};
 pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
@@ -42,30 +42,30 @@ pub use document::Document;
 pub use gate::{Gate, GateResult};
 pub use parts::{
     Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
-    Distributions, Domains, EXAMPLE_MPS, Earlier, Element, ElementKind, EscapeFile, Failure, FailureMap, FailureMaps,
-    FirstPage, Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, LineVerdict, MOST_EVIDENCE_BYTES,
-    Made, MapAxis, MapCell, MapRow, MethodReached, Mildest, NamedThing, Paired, PaperScenarios, ParameterInNumbers,
-    Percent, Proof, ProofStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, Rules, Sampled,
-    ScenarioCases, Search, Searches, SpaceInNumbers, SpaceSearches, SpeaksOf, SuiteFailure, SuiteFindings,
+    Distributions, SpaceDescriptions, EXAMPLE_MPS, Earlier, Element, GsnElementKind, EscapeFile, Failure, FailureMap, FailureMaps,
+    FirstPage, Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, StringStabilityVerdict, MAX_EVIDENCE_BYTES,
+    Made, MapAxis, MapCell, MapRow, MethodResult, Mildest, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
+    Percent, Proof, CertificateStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, SpecificationSearches, Sampled,
+    ScenarioCases, Search, FailureSearches, SpaceInNumbers, SpaceSearches, CertificateSubject, SuiteFailure, SuiteFindings,
     SuiteOutcome, SuiteTest, Suites, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
 };
-pub use plan::AssessmentPlan;
+pub use figure_layout::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
-pub use shard::{EvidenceShardError, MergedEvidence, SHARD_OF_AN_ASSESSMENT, gather_shard};
-pub use store::{EvidenceHash, Store, StoreError};
+pub use shard::{EvidenceShardError, MergedEvidence, ASSESSMENT_SHARD_KIND, gather_shard};
+pub use cache::{EvidenceHash, Store, StoreError};
 
 use crumple_core::observer::{Counter, Observer, Progress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
-use crumple_store::work::{MANIFEST, manifest_of};
+use crumple_store::gather_context::{MANIFEST, manifest_of};
 use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 use parts::Findings;
-use work::Work;
+use gather_context::Work;
 
 /// The version of the JSON evidence this release writes.
 pub const EVIDENCE_VERSION: u32 = 3;
@@ -73,7 +73,7 @@ pub const EVIDENCE_VERSION: u32 = 3;
 /// Everything an assessment found out.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Assessment {
+pub struct AssessmentReport {
     /// Version of the evidence format.
     pub version: u32,
     /// The first page: the question and its answer.
@@ -87,15 +87,17 @@ pub struct Assessment {
     /// Failures counted on draws of spaces.
     pub distributions: Distributions,
     /// Scenarios from files; none if the configuration names none.
-    pub traffic: Option<Traffic>,
+    #[serde(rename = "traffic")]
+    pub file_scenarios: Option<Traffic>,
     /// Tests after regulations; none if the configuration names no suites.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suites: Option<Suites>,
     /// What a search for failures found.
-    pub searches: Searches,
+    pub searches: FailureSearches,
     /// What searches for broken rules found; none if the configuration names no rules.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub rules: Option<Rules>,
+    #[serde(rename = "rules")]
+    pub specification_searches: Option<SpecificationSearches>,
     /// The mildest lead braking against each controller.
     pub worst_profiles: Option<WorstProfiles>,
     /// What each controller survives over two parameters, and what no driver does.
@@ -107,7 +109,8 @@ pub struct Assessment {
     /// How the learned policies drive; none if there are none among the controllers.
     pub learned: Option<Learned>,
     /// The spaces in numbers.
-    pub domains: Domains,
+    #[serde(rename = "domains")]
+    pub space_descriptions: SpaceDescriptions,
     /// What this does not show.
     pub limits: Limits,
     /// The verdict as a goal structure.
@@ -121,24 +124,24 @@ pub struct Assessment {
 }
 
 /// One part of an assessment.
-pub trait Part {
+pub trait ReportPart {
     /// Anchor of the part in the page, and its heading.
-    fn heading(&self) -> (&'static str, String);
+    fn anchor_and_title(&self) -> (&'static str, String);
     /// Writes the part, without its heading.
     fn write(&self, out: &mut Document);
 
     /// Returns the part as HTML, without its heading.
-    fn html(&self) -> Markup {
+    fn to_html(&self) -> Markup {
         self.document().into_html()
     }
 
     /// Returns the part as Markdown, without its heading.
-    fn markdown(&self) -> Markdown {
+    fn to_markdown(&self) -> Markdown {
         self.document().into_markdown()
     }
 
     #[doc(hidden)]
-    fn document(&self) -> Document {
+    fn to_document(&self) -> Document {
         let mut document = Document::default();
         self.write(&mut document);
         document
@@ -172,10 +175,10 @@ pub enum AssessError {
     Certificate(String),
     /// Evidence cannot be kept.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Cache(#[from] StoreError),
     /// A rule does not fit a space.
     #[error("a rule does not fit: {0}")]
-    Rule(#[from] SpecificationError),
+    Specification(#[from] SpecificationError),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
@@ -212,23 +215,23 @@ pub fn assess(
     store: &Store,
     against: Option<&Earlier>,
     observer: &dyn Observer<Progress>,
-) -> Result<Assessment, AssessError> {
+) -> Result<AssessmentReport, AssessError> {
     let nothing_kept = Store::none();
-    let store = if plan.without_identity().is_none() { store } else { &nothing_kept };
+    let store = if plan.first_without_identity().is_none() { store } else { &nothing_kept };
     let work = Work::new(store, Counter::new(observer, Some(plan.runs()))).with(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
     let distributions = Distributions::gather(plan, &work)?;
     let traffic = Traffic::gather(plan, &work)?;
     let suites = Suites::gather(plan, &work)?;
-    let searches = Searches::gather(plan, &work)?;
-    let rules = Rules::gather(plan, &work)?;
+    let searches = FailureSearches::gather(plan, &work)?;
+    let rules = SpecificationSearches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
     let usefulness = Usefulness::gather(plan, &work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
     let proofs = Proofs::gather(plan, &work, scenarios)?;
-    work.none_refused()?;
+    work.ensure_all_trusted()?;
     let limits = Limits::of(plan);
     let found = Findings {
         paper: paper_scenarios.as_ref(),
@@ -245,13 +248,13 @@ pub fn assess(
     let summary = Summary::of(plan, &found, &evidence);
     let first_page = FirstPage::of(plan, &summary, &searches, usefulness.as_ref(), &limits);
     let argument = Argument::of(plan, &summary, &limits);
-    let mut assessment = Assessment {
+    let mut assessment = AssessmentReport {
         version: EVIDENCE_VERSION,
         learned: paper_scenarios.as_ref().and_then(|paper| Learned::of(plan, paper)),
         provenance: Provenance::of(plan, store),
         comparison: None,
-        domains: Domains::of(plan, usefulness.as_ref()),
-        command_files: plan.files_beside()?,
+        domains: SpaceDescriptions::of(plan, usefulness.as_ref()),
+        command_files: plan.command_files()?,
         first_page,
         summary,
         evidence,
@@ -294,57 +297,57 @@ impl AssessmentPlan {
     }
 }
 
-impl Assessment {
+impl AssessmentReport {
     /// The same with when and where it was made.
     #[must_use]
-    pub fn made(mut self, made: Made) -> Self {
+    pub fn with_build_info(mut self, made: Made) -> Self {
         self.provenance.made = Some(made);
         self
     }
 
     /// The parts in the order of the report, without the appendix.
     #[must_use]
-    pub fn parts(&self) -> Vec<&dyn Part> {
-        let mut parts: Vec<&dyn Part> = vec![&self.first_page, &self.summary];
-        parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn Part));
-        parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn Part));
-        parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn Part));
-        parts.extend(self.suites.as_ref().map(|suites| suites as &dyn Part));
+    pub fn parts(&self) -> Vec<&dyn ReportPart> {
+        let mut parts: Vec<&dyn ReportPart> = vec![&self.first_page, &self.summary];
+        parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn ReportPart));
+        parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn ReportPart));
+        parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn ReportPart));
+        parts.extend(self.suites.as_ref().map(|suites| suites as &dyn ReportPart));
         let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
-        parts.extend(is_drawn.then_some(&self.distributions as &dyn Part));
-        parts.extend(is_searched.then_some(&self.searches as &dyn Part));
-        parts.extend(self.rules.as_ref().map(|rules| rules as &dyn Part));
-        parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn Part));
-        parts.extend([&self.proofs as &dyn Part, &self.limits]);
+        parts.extend(is_drawn.then_some(&self.distributions as &dyn ReportPart));
+        parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
+        parts.extend(self.rules.as_ref().map(|rules| rules as &dyn ReportPart));
+        parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));
+        parts.extend([&self.proofs as &dyn ReportPart, &self.limits]);
         parts
     }
 
     /// The parts of the appendix.
     #[must_use]
-    pub fn appendix(&self) -> Vec<&dyn Part> {
-        let mut parts: Vec<&dyn Part> = vec![&self.argument];
-        parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn Part));
-        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn Part));
-        parts.extend(self.learned.as_ref().map(|learned| learned as &dyn Part));
-        parts.extend([&self.domains as &dyn Part, &Glossary, &self.provenance]);
+    pub fn appendix(&self) -> Vec<&dyn ReportPart> {
+        let mut parts: Vec<&dyn ReportPart> = vec![&self.argument];
+        parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
+        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn ReportPart));
+        parts.extend(self.learned.as_ref().map(|learned| learned as &dyn ReportPart));
+        parts.extend([&self.domains as &dyn ReportPart, &Glossary, &self.provenance]);
         parts
     }
 
     /// The report as one self-contained HTML page.
     #[must_use]
-    pub fn html(&self) -> String {
+    pub fn to_html(&self) -> String {
         page::html(self)
     }
 
     /// The first page alone, as a self-contained HTML page: question, answer and reasons.
     #[must_use]
-    pub fn first_page_html(&self) -> String {
+    pub fn first_page_to_html(&self) -> String {
         page::first_page(self)
     }
 
     /// The report as Markdown, without figures.
     #[must_use]
-    pub fn markdown(&self) -> String {
+    pub fn to_markdown(&self) -> String {
         page::markdown(self)
     }
 
@@ -352,7 +355,7 @@ impl Assessment {
     ///
     /// # Errors
     /// None in practice; the serializer's error is passed on rather than hidden.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
+    pub fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self).map(|json| json + "\n")
     }
 
@@ -377,7 +380,7 @@ impl Assessment {
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
         let failures = self.searches.failures().flat_map(Failure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
-        let of_rules = self.rules.iter().flat_map(Rules::files);
+        let of_rules = self.rules.iter().flat_map(SpecificationSearches::files);
         let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect();
         // Runs for other simulators are made of the counterexamples, and may be left out where a report is kept.
         let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
@@ -391,16 +394,16 @@ impl Assessment {
     pub fn commands(&self) -> impl Iterator<Item = &Command> {
         let failures = self.searches.failures().flat_map(Failure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
-        let of_rules = self.rules.iter().flat_map(Rules::commands);
+        let of_rules = self.rules.iter().flat_map(SpecificationSearches::commands);
         failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }
 
 /// What a folder with a report holds, as `work.json` there says.
-pub const REPORT: &str = "report of an assessment";
+pub const REPORT_KIND: &str = "report of an assessment";
 
 /// The folders of a report that hold files which another report may not have.
-pub const FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
+pub const REPORT_FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
 
 /// Why a report cannot be written down.
 #[derive(Debug, thiserror::Error)]

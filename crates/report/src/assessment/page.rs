@@ -4,13 +4,13 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::Markdown;
 use super::{Assessment, Part};
-use crate::units::without_breaks_before_units;
+use crate::units::insert_nbsp_before_units;
 use crate::{PAGE_STYLE, draw};
 use crumple_core::quoted::Lines;
 
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
-pub(super) fn html(assessment: &Assessment) -> String {
+pub(super) fn render_html(assessment: &Assessment) -> String {
     let (parts, appendix) = (assessment.parts(), assessment.appendix());
     let page: Markup = html! {
         (DOCTYPE)
@@ -38,19 +38,19 @@ pub(super) fn html(assessment: &Assessment) -> String {
         }
     };
     // A page is text too: what turns the direction of names would turn the verdict beside them.
-    without_breaks_before_units(&Lines(&page.into_string()).to_string())
+    insert_nbsp_before_units(&Lines(&page.into_string()).to_string())
 }
 
 /// The first page alone, as a page.
-pub(super) fn first_page(assessment: &Assessment) -> String {
+pub(super) fn render_first_page(assessment: &Assessment) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" { (head(assessment)) body { main { section { (assessment.first_page.html()) } } } }
     };
-    without_breaks_before_units(&Lines(&page.into_string()).to_string())
+    insert_nbsp_before_units(&Lines(&page.into_string()).to_string())
 }
 
-fn head(assessment: &Assessment) -> Markup {
+fn html_head(assessment: &Assessment) -> Markup {
     html! {
         head {
             meta charset="utf-8";
@@ -62,7 +62,7 @@ fn head(assessment: &Assessment) -> Markup {
     }
 }
 
-pub(super) fn markdown(assessment: &Assessment) -> String {
+pub(super) fn render_markdown(assessment: &Assessment) -> String {
     let mut text = Markdown::default();
     for (heading, parts) in [(TITLE, assessment.parts()), ("Appendix", assessment.appendix())] {
         text.heading(1, heading);

@@ -17,17 +17,17 @@ use crumple_world::measure::Specification;
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::recording::{Dropped, ImportOptions, Imported, ImportedScenario, import};
+use crumple_world::recording::{Dropped, ImportOptions, ImportResult, ImportedScenario, import};
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, built_in_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Most draws a configuration may ask for.
-const MOST_DRAWS: u64 = 10_000_000;
+const MAX_DRAWS: u64 = 10_000_000;
 
 /// Most evaluations of one search.
-const MOST_EVALUATIONS: u64 = 1_000_000_000;
+const MAX_EVALUATIONS: u64 = 1_000_000_000;
 
 /// A configuration that was found valid, with everything it names.
 #[derive(Debug, Clone)]
@@ -35,9 +35,9 @@ pub struct AssessmentPlan {
     pub(super) config: AssessConfig,
     pub(super) controllers: Vec<NamedController>,
     /// Which of them the argument is about.
-    pub(super) subject: usize,
+    pub(super) subject_index: usize,
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
-    pub(super) traffic: Vec<(PathBuf, Scenario)>,
+    pub(super) file_scenarios: Vec<(PathBuf, Scenario)>,
     /// What of recordings is no scenario.
     pub(super) left_out: Vec<Dropped>,
     pub(super) suites: Vec<PlannedSuite>,
@@ -56,7 +56,7 @@ pub(super) struct NamedSpace {
     pub(super) space: Space,
     /// The space as a file, and its hash under its own name.
     pub(super) text: String,
-    pub(super) known: Known,
+    pub(super) content_id: Known,
 }
 
 impl NamedSpace {
@@ -66,7 +66,7 @@ impl NamedSpace {
     }
 
     /// Whether two successive vehicles of its scenarios are both not under test.
-    pub(super) fn others_may_touch(&self) -> bool {
+    pub(super) fn can_others_collide(&self) -> bool {
         // Whose nominal scenario cannot be run has no runs.
         self.space.scenario(&self.space.nominal()).is_ok_and(|scenario| {
             let is_other = |index: usize| !scenario.is_under_test(index);
@@ -86,7 +86,7 @@ pub(super) struct GivenCertificate {
 }
 
 /// Certificates about the reference policy; `corpora/certificates/README.md` says how they were made.
-const SHIPPED: [(&str, &str); 2] = [
+const SHIPPED_CERTIFICATES: [(&str, &str); 2] = [
     ("reach-paper-1", include_str!("built_in/reach-paper-1.json")),
     ("reach-paper-2", include_str!("built_in/reach-paper-2.json")),
 ];
@@ -117,7 +117,7 @@ impl AssessmentPlan {
         own: impl IntoIterator<Item = NamedController>,
         folder: &Path,
     ) -> Result<Self, ConfigError> {
-        let loading = Loading { path: Path::new("configuration"), text: "", folder };
+        let loading = PlanLoader { path: Path::new("configuration"), text: "", folder };
         let mut controllers = loading.controllers(&config)?;
         let first_own = controllers.len();
         for controller in own {
@@ -135,7 +135,7 @@ impl AssessmentPlan {
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let text = file::read(path)?;
         let config: AssessConfig = file::parse_toml(&text, path)?;
-        let loading = Loading { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
+        let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.controllers(&config)?;
         loading.plan(config, controllers)
     }
@@ -148,12 +148,12 @@ impl AssessmentPlan {
 
     /// Whether a gate needs an earlier assessment to compare with.
     #[must_use]
-    pub fn wants_earlier(&self) -> bool {
+    pub fn needs_earlier_assessment(&self) -> bool {
         self.config.gates.iter().any(|gate| matches!(gate, Gate::NothingWorse {}))
     }
 
     /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
-    pub(super) fn claimant(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
+    pub(super) fn claim_subject(&self, index: usize, estimator: EstimatorKind) -> Option<Subject> {
         let controller = self.controllers.get(index)?;
         let unknown = || sha256(format!("controller {index} of one report, {}", controller.name));
         let sha256 = controller.kind.identity().unwrap_or_else(unknown);
@@ -161,7 +161,7 @@ impl AssessmentPlan {
     }
 
     /// All of them, through the estimator of the assessment.
-    pub(super) fn claimants(&self) -> Vec<Subject> {
+    pub(super) fn claim_subjects(&self) -> Vec<Subject> {
         (0..self.controllers.len()).filter_map(|index| self.claimant(index, self.config.estimator)).collect()
     }
 
@@ -183,7 +183,7 @@ impl AssessmentPlan {
 
     /// The first controller that states no identity: evidence about it cannot be told from that about others, so none is kept.
     #[must_use]
-    pub fn without_identity(&self) -> Option<&NamedController> {
+    pub fn first_without_identity(&self) -> Option<&NamedController> {
         self.controllers.iter().find(|controller| controller.kind.identity().is_none())
     }
 
@@ -191,12 +191,12 @@ impl AssessmentPlan {
     pub(super) fn identity(&self, controller: &NamedController) -> Value {
         let policy = controller.policy().map(|policy| policy.digest());
         let mut identity = vec![json!(controller.name), json!(policy), json!(self.config.estimator.name())];
-        identity.extend(controller.identity_beside_name().map(Value::from));
+        identity.extend(controller.disambiguating_hash().map(Value::from));
         identity.into()
     }
 
     /// A controller's name as part of a path; different ones for different controllers.
-    pub(super) fn slug(&self, index: usize) -> String {
+    pub(super) fn controller_slug(&self, index: usize) -> String {
         let of = |index: usize| self.controllers.get(index).map(|controller| slug(&controller.name));
         let own = of(index).unwrap_or_default();
         let is_taken = (0..index).any(|other| of(other).as_deref() == Some(own.as_str()));
@@ -216,14 +216,14 @@ pub(super) fn file_stem(name: &str) -> String {
 }
 
 /// The first learned controller without a shield, or else the last one.
-fn subject(controllers: &[NamedController]) -> usize {
+fn default_subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
         controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
     };
     controllers.iter().position(is_bare).unwrap_or(controllers.len().saturating_sub(1))
 }
 
-fn shipped(controllers: &[NamedController]) -> Vec<GivenCertificate> {
+fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate> {
     let reference = ControllerSpec::Policy(Default::default()).identity();
     if !controllers.iter().any(|controller| controller.kind.identity().as_deref() == Some(reference.as_str())) {
         return Vec::new();
@@ -235,19 +235,19 @@ fn shipped(controllers: &[NamedController]) -> Vec<GivenCertificate> {
     SHIPPED.iter().filter_map(given).collect()
 }
 
-fn not_among(name: &str) -> String {
+fn not_among_controllers(name: &str) -> String {
     format!("`{name}` is not among `controllers`")
 }
 
 /// A configuration file on its way to a plan.
-struct Loading<'a> {
+struct PlanLoader<'a> {
     path: &'a Path,
     text: &'a str,
     folder: &'a Path,
 }
 
-impl Loading<'_> {
-    fn wrong(&self, field: &str, problem: String) -> ConfigError {
+impl PlanLoader<'_> {
+    fn field_error(&self, field: &str, problem: String) -> ConfigError {
         ConfigError::Field {
             path: self.path.to_owned(),
             line: file::line_in_toml(self.text, field),
@@ -257,7 +257,7 @@ impl Loading<'_> {
     }
 
     /// The plan of a configuration with these controllers.
-    fn plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
+    fn build_plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
         self.check_numbers(&config)?;
         // However a controller is spelled, it goes by one name.
         let place_of = |name: &mut String| {
@@ -268,13 +268,13 @@ impl Loading<'_> {
         };
         let subject = match &mut config.subject {
             None => subject(&controllers),
-            Some(name) => place_of(name).ok_or_else(|| self.wrong("subject", not_among(name)))?,
+            Some(name) => place_of(name).ok_or_else(|| self.wrong("subject", not_among_controllers(name)))?,
         };
         let suites = PlannedSuite::all(&mut config, self.folder, &controllers, place_of)
             .map_err(|(field, problem)| self.wrong(&field, problem))?;
         for (index, gate) in config.gates.iter_mut().enumerate() {
             for (field, name) in gate.controllers_mut() {
-                place_of(name).ok_or_else(|| self.wrong(&format!("gates[{index}].{field}"), not_among(name)))?;
+                place_of(name).ok_or_else(|| self.wrong(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
@@ -282,11 +282,11 @@ impl Loading<'_> {
                 return Err(self.wrong(&format!("gates[{index}].{field}"), problem));
             }
         }
-        let Imported { scenarios: recorded, dropped: left_out, .. } = self.recorded(&config)?;
+        let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.recorded(&config)?;
         let traffic = self.traffic(&config, recorded)?;
         let spaces = self.spaces("search.spaces", &config.searched())?;
         let distributions = self.spaces("distributions", &config.distributions())?;
-        self.check_rules(&mut config.search.rules, &spaces)?;
+        self.normalize_specifications(&mut config.search.rules, &spaces)?;
         let clash = distributions
             .iter()
             .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
@@ -315,7 +315,7 @@ impl Loading<'_> {
     }
 
     /// Checks that every rule fits every space that is searched, and writes each as it was read: a formula with all its parentheses.
-    fn check_rules(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
+    fn normalize_specifications(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
         let mut earlier: Vec<String> = Vec::new();
         for (index, rule) in rules.iter_mut().enumerate() {
             let wrong = |problem: String| self.wrong(&format!("search.rules[{index}]"), problem);
@@ -336,7 +336,7 @@ impl Loading<'_> {
         Ok(())
     }
 
-    fn add(
+    fn add_controller(
         &self,
         controllers: &mut Vec<NamedController>,
         field: &str,
@@ -360,7 +360,7 @@ impl Loading<'_> {
             }
         }
         let (budget, runs) = (config.search.budget, config.rates.runs);
-        if !(1..=MOST_EVALUATIONS).contains(&budget) {
+        if !(1..=MAX_EVALUATIONS).contains(&budget) {
             return Err(self.wrong("search.budget", format!("must be from 1 to {MOST_EVALUATIONS}, found {budget}")));
         }
         if runs > MOST_DRAWS {
@@ -373,7 +373,7 @@ impl Loading<'_> {
         Ok(())
     }
 
-    fn controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, ConfigError> {
+    fn load_controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, ConfigError> {
         if config.controllers.is_empty() {
             return Err(self.wrong("controllers", "must name at least one controller".to_owned()));
         }
@@ -388,7 +388,7 @@ impl Loading<'_> {
     }
 
     /// What recordings hold.
-    fn recorded(&self, config: &AssessConfig) -> Result<Imported, ConfigError> {
+    fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, ConfigError> {
         let wrong = |problem: String| self.wrong("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
         let imported = import(&paths, None, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
@@ -399,7 +399,7 @@ impl Loading<'_> {
     }
 
     /// The scenarios from files, and those of recordings.
-    fn traffic(
+    fn load_scenarios(
         &self,
         config: &AssessConfig,
         recorded: Vec<ImportedScenario>,
@@ -435,7 +435,7 @@ impl Loading<'_> {
         Ok(traffic)
     }
 
-    fn spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, ConfigError> {
+    fn load_spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, ConfigError> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
@@ -471,7 +471,7 @@ impl Loading<'_> {
         Ok(spaces)
     }
 
-    fn certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, ConfigError> {
+    fn load_certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, ConfigError> {
         let mut given: Vec<GivenCertificate> = Vec::new();
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");

@@ -10,7 +10,7 @@ use crumple_suites::{SHIPPED, Suite};
 use crumple_world::sim::NamedController;
 
 /// Most suites of an assessment.
-const MOST_SUITES: usize = 20;
+const MAX_SUITES: usize = 20;
 
 /// A suite of tests after a regulation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,24 +29,24 @@ pub struct SuiteConfig {
 #[derive(Debug, Clone)]
 pub(super) struct PlannedSuite {
     /// The name in the configuration.
-    pub(super) named: String,
+    pub(super) config_name: String,
     pub(super) suite: Suite,
     /// Its hash, under its own name.
-    pub(super) known: Known,
+    pub(super) content_id: Known,
     /// Controllers by their places in the plan, in its order.
-    pub(super) tested: Vec<usize>,
+    pub(super) controller_indices: Vec<usize>,
 }
 
 impl PlannedSuite {
     /// The suites of a configuration; else the field that is wrong, and what is wrong with it. `place_of` finds a controller by
     /// a name, which it makes the one that the controller goes by.
-    pub(super) fn all(
+    pub(super) fn from_config(
         config: &mut AssessConfig,
         folder: &Path,
         controllers: &[NamedController],
         place_of: impl Fn(&mut String) -> Option<usize>,
     ) -> Result<Vec<Self>, (String, String)> {
-        if config.suites.len() > MOST_SUITES {
+        if config.suites.len() > MAX_SUITES {
             return Err(("suites".to_owned(), format!("must be at most {MOST_SUITES}, found {}", config.suites.len())));
         }
         let mut planned: Vec<Self> = Vec::new();
@@ -88,7 +88,7 @@ impl PlannedSuite {
     }
 
     /// How many runs it takes, but for searches and margins.
-    pub(super) fn points(&self) -> u64 {
+    pub(super) fn run_count(&self) -> u64 {
         let tests = self.suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
         let points: usize = tests.filter(|test| test.lead.is_some()).map(|test| test.grid().len()).sum();
         (points * self.tested.len()) as u64
@@ -96,7 +96,7 @@ impl PlannedSuite {
 }
 
 /// The suite that is shipped under a name, or the one in a file.
-fn find(name: &str, folder: &Path) -> Result<Suite, String> {
+fn find_suite(name: &str, folder: &Path) -> Result<Suite, String> {
     if let Some(suite) = Suite::shipped(name) {
         return suite.map_err(|error| error.to_string());
     }

@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-pub(super) fn prose(text: &str) -> Markup {
+pub(super) fn prose_to_html(text: &str) -> Markup {
     html! {
         @for (index, piece) in text.split('`').enumerate() {
             @if index % 2 == 1 { code { (piece) } } @else { (piece) }

@@ -10,23 +10,23 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::pieces::pieces;
-use super::store::{Kept, Store, StoreError};
-use super::work::Work as Gathering;
+use super::evidence_tasks::pieces;
+use super::cache::{Kept, Store, StoreError};
+use super::gather_context::Work as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Counter, Observer, Progress};
 use crumple_store::disk::DiskError;
 use crumple_store::shard::{MergeError, Mergeable, Merged, MissingShards, Shard, Sharded, TooManyShards, open_shard};
-use crumple_store::work::{Finished, WorkError};
+use crumple_store::gather_context::{Finished, WorkError};
 use crumple_world::scenario::file;
 
 /// What a folder of one is called in its `work.json`.
-pub const SHARD_OF_AN_ASSESSMENT: &str = "shard of an assessment";
+pub const ASSESSMENT_SHARD_KIND: &str = "shard of an assessment";
 
-const EVIDENCE: &str = "evidence.json";
+const EVIDENCE_FILE: &str = "evidence.json";
 /// Where evidence is kept until all of a shard is there.
-const UNDER_WAY: &str = "evidence";
+const CACHE_FOLDER: &str = "evidence";
 
 /// Why a shard of an assessment is not made.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,7 @@ pub enum EvidenceShardError {
     Shards(#[from] TooManyShards),
     /// A controller cannot be told from others.
     #[error("the controller `{0}` states no identity, so that nothing of it is kept")]
-    Unknown(String),
+    NoIdentity(String),
     /// Evidence cannot be gathered.
     #[error(transparent)]
     Assess(#[from] AssessError),
@@ -55,11 +55,11 @@ impl From<StoreError> for EvidenceShardError {
 /// Everything that decides an assessment that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct ShardedAssessment {
-    assessment: Whole,
+    assessment: AssessmentFingerprint,
 }
 
 impl Sharded for ShardedAssessment {
-    const KIND: &'static str = SHARD_OF_AN_ASSESSMENT;
+    const KIND: &'static str = ASSESSMENT_SHARD_KIND;
     const VERSION: u32 = 1;
     const RESULTS: &'static str = EVIDENCE;
     const PARTS: &'static str = "pieces of evidence";
@@ -94,13 +94,14 @@ impl Mergeable for ShardedAssessment {
 /// What evidence is of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Whole {
+struct AssessmentFingerprint {
     /// Digest of the executable: evidence of another is none for it.
     program: String,
     /// Digest of the configuration and all that it names.
     plan_sha256: String,
     /// All pieces, in the order in which they are divided.
-    pieces: Vec<String>,
+    #[serde(rename = "pieces")]
+    tasks: Vec<String>,
 }
 
 /// Gathers the evidence of a shard in `folder`, or continues it. Returns the number of its pieces. `program` is the digest of the executable.
@@ -115,13 +116,13 @@ pub fn gather_shard(
     program: &str,
     observer: &dyn Observer<Progress>,
 ) -> Result<u64, EvidenceShardError> {
-    if let Some(unknown) = plan.without_identity() {
+    if let Some(unknown) = plan.first_without_identity() {
         return Err(EvidenceShardError::Unknown(unknown.name.clone()));
     }
     let all = pieces(plan)?;
     let range = shard.range(all.len() as u64, ShardedAssessment::PARTS)?;
     let own = all.get(range.start as usize..range.end as usize).unwrap_or_default();
-    let assessment = Whole {
+    let assessment = AssessmentFingerprint {
         program: program.to_owned(),
         plan_sha256: digest(plan)?,
         pieces: all.iter().map(|piece| piece.name.clone()).collect(),
@@ -153,7 +154,7 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         Merged::of(folder, found).map(Self)
     }
 
@@ -161,13 +162,13 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read, or is not a shard of the same assessment.
-    pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
+    pub fn add_shard(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
         self.0.take(folder, found)
     }
 
     /// Pieces that no shard has gathered.
     #[must_use]
-    pub fn missing(&self) -> Vec<String> {
+    pub fn missing_tasks(&self) -> Vec<String> {
         let pieces = &self.0.work().assessment.pieces;
         let of = |range: Range<u64>| pieces.get(range.start as usize..range.end as usize);
         self.0.missing().into_iter().filter_map(of).flatten().cloned().collect()
@@ -189,7 +190,7 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`StoreError`] if it cannot be written, or is in use.
-    pub fn write_in(&self, folder: &Path) -> Result<usize, StoreError> {
+    pub fn write_to_cache(&self, folder: &Path) -> Result<usize, StoreError> {
         let store = Store::open(folder, &self.0.work().assessment.program, false)?;
         let all = self.0.results().flatten();
         all.map(|kept| store.keep(kept)).sum()
@@ -197,7 +198,7 @@ impl MergedEvidence {
 }
 
 /// Of all that decides the evidence.
-fn digest(plan: &AssessmentPlan) -> Result<String, StoreError> {
+fn plan_digest(plan: &AssessmentPlan) -> Result<String, StoreError> {
     let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
     let traffic = plan.traffic.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(StoreError::encoding)?;
@@ -205,6 +206,6 @@ fn digest(plan: &AssessmentPlan) -> Result<String, StoreError> {
     Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
 }
 
-fn text(value: &impl Serialize) -> Result<String, StoreError> {
+fn to_json_line(value: &impl Serialize) -> Result<String, StoreError> {
     Ok(serde_json::to_string(value).map_err(StoreError::encoding)? + "\n")
 }

@@ -7,23 +7,23 @@ use super::prose::prose;
 
 /// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Table {
+pub(super) struct ReportTable {
     header: Vec<String>,
-    rows: Vec<Vec<Cell>>,
+    rows: Vec<Vec<ReportCell>>,
 }
 
 /// One cell.
 #[derive(Debug, Clone)]
-pub(super) struct Cell {
+pub(super) struct ReportCell {
     text: String,
-    mark: Mark,
+    mark: CellMark,
 }
 
 /// What a cell says at a glance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Mark {
+pub(super) enum CellMark {
     /// Nothing in particular.
-    None,
+    Neutral,
     /// It held.
     Good,
     /// It failed.
@@ -32,8 +32,8 @@ pub(super) enum Mark {
     Number,
 }
 
-impl Mark {
-    fn class(self) -> Option<&'static str> {
+impl CellMark {
+    fn css_class(self) -> Option<&'static str> {
         match self {
             Self::None => None,
             Self::Good => Some("good judged"),
@@ -52,9 +52,9 @@ impl Mark {
 }
 
 /// A column of a table: its heading, and its cell in the row of an item.
-pub(super) type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
+pub(super) type ReportColumn<'a, T> = (&'a str, &'a dyn Fn(&T) -> ReportCell);
 
-impl Cell {
+impl ReportCell {
     /// A number, or a dash.
     pub(super) fn optional(number: Option<impl ToString>) -> Self {
         Self::number(number.map_or_else(|| "–".to_owned(), |number| number.to_string()))
@@ -66,36 +66,36 @@ impl Cell {
     }
 
     pub(super) fn text(text: impl ToString) -> Self {
-        Self { text: text.to_string(), mark: Mark::None }
+        Self { text: text.to_string(), mark: CellMark::None }
     }
 
     pub(super) fn number(number: impl ToString) -> Self {
-        Self { text: number.to_string(), mark: Mark::Number }
+        Self { text: number.to_string(), mark: CellMark::Number }
     }
 
-    pub(super) fn marked(text: impl ToString, mark: Mark) -> Self {
+    pub(super) fn with_mark(text: impl ToString, mark: CellMark) -> Self {
         Self { text: text.to_string(), mark }
     }
 
-    pub(super) fn judged(text: impl ToString, good: bool) -> Self {
-        Self { text: text.to_string(), mark: if good { Mark::Good } else { Mark::Bad } }
+    pub(super) fn with_verdict(text: impl ToString, good: bool) -> Self {
+        Self { text: text.to_string(), mark: if good { CellMark::Good } else { CellMark::Bad } }
     }
 }
 
-impl Table {
+impl ReportTable {
     pub(super) fn new(header: &[&str]) -> Self {
         Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
     }
 
     /// Builds a table with a row for each item.
-    pub(super) fn of<T>(items: impl IntoIterator<Item = T>, columns: &[Column<'_, T>]) -> Self {
+    pub(super) fn from_items<T>(items: impl IntoIterator<Item = T>, columns: &[ReportColumn<'_, T>]) -> Self {
         Self::without(items, columns, None)
     }
 
     /// Builds a table with a row for each item, and leaves out one column.
-    pub(super) fn without<T>(
+    pub(super) fn from_items_without<T>(
         items: impl IntoIterator<Item = T>,
-        columns: &[Column<'_, T>],
+        columns: &[ReportColumn<'_, T>],
         left_out: Option<usize>,
     ) -> Self {
         let columns = || columns.iter().enumerate().filter(|(place, _)| Some(*place) != left_out).map(|(_, one)| one);
@@ -104,14 +104,14 @@ impl Table {
         table
     }
 
-    pub(super) fn row(&mut self, cells: Vec<Cell>) {
+    pub(super) fn push_row(&mut self, cells: Vec<ReportCell>) {
         self.rows.push(cells);
     }
 
     /// The table, in a frame that scrolls sideways where the page is narrow. The first column heads its row.
-    pub(super) fn html(&self) -> Markup {
+    pub(super) fn to_html(&self) -> Markup {
         let is_number =
-            |column: usize| self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == Mark::Number));
+            |column: usize| self.rows.iter().all(|row| row.get(column).is_some_and(|cell| cell.mark == CellMark::Number));
         html! {
             div.scroll tabindex="0" {
                 table {
@@ -136,14 +136,14 @@ impl Table {
         }
     }
 
-    pub(super) fn markdown(&self, out: &mut Markdown) {
+    pub(super) fn write_markdown(&self, out: &mut Markdown) {
         let first = self.rows.first();
         let set = |column: usize| match first.and_then(|row| row.get(column)).map(|cell| cell.mark) {
-            Some(Mark::Number) => "---:",
+            Some(CellMark::Number) => "---:",
             _ => "---",
         };
         let columns: Vec<_> = (0..self.header.len()).map(set).collect();
-        let cells = |row: &Vec<Cell>| row.iter().map(|cell| cell.mark.sign().to_owned() + &cell.text).collect();
+        let cells = |row: &Vec<ReportCell>| row.iter().map(|cell| cell.mark.sign().to_owned() + &cell.text).collect();
         out.table(&self.header, &columns, self.rows.iter().map(cells));
     }
 }
@@ -154,8 +154,8 @@ mod tests {
 
     #[test]
     fn what_cells_hold_can_break_neither_form() {
-        let mut table = Table::new(&["name", "n"]);
-        table.row(vec![Cell::text("a|b<script>\nc"), Cell::number(3)]);
+        let mut table = ReportTable::new(&["name", "n"]);
+        table.row(vec![ReportCell::text("a|b<script>\nc"), ReportCell::number(3)]);
         let mut text = Markdown::default();
         table.markdown(&mut text);
         assert_eq!(text.into_string(), "| name | n |\n| --- | ---: |\n| a\\|b\\<script> c | 3 |\n");

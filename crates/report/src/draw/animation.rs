@@ -7,11 +7,11 @@ use maud::{Markup, PreEscaped, html};
 
 use super::animation_data::AnimationData;
 use super::label::Frame;
-use super::names::vehicle_names;
+use super::vehicle_names::vehicle_names;
 use super::panel::{Anchor, Marker, mark, straight, tag, tag_width, words};
 use super::path::Px;
 use super::scale::signed;
-use super::theme::{Ink, SMALL, Stroke};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
 use super::{Place, Svg};
 use crumple_world::scenario::{Scenario, VehicleClass};
 use crumple_world::sim::{Impact, Trace};
@@ -23,17 +23,17 @@ pub const ANIMATION_STYLE: &str = include_str!("animation.css");
 pub const ANIMATION_SCRIPT: &str = include_str!("animation.js");
 
 /// Height of the lane and of what stands above and below it, in pixels.
-const LANE: f64 = 46.0;
-const ABOVE: f64 = 26.0;
-const BELOW_LANE: f64 = 44.0;
+const LANE_HEIGHT: f64 = 46.0;
+const SPACE_ABOVE: f64 = 26.0;
+const SPACE_BELOW: f64 = 44.0;
 /// What the lane beside takes more below, where vehicles enter or leave.
-const LANE_BESIDE: f64 = 34.0;
+const ADJACENT_LANE_HEIGHT: f64 = 34.0;
 
 /// A dash of the lane's middle and the pause after it are together this long, in metres.
-const DASH_M: f64 = 10.0;
+const DASH_PERIOD_M: f64 = 10.0;
 
 /// One way to draw the lane, by its width.
-struct View<'a> {
+struct LaneView<'a> {
     data: &'a AnimationData,
     width: f64,
     px_per_m: f64,
@@ -44,7 +44,7 @@ struct View<'a> {
 ///
 /// `trace` is of a run of `scenario`, and `impacts` are that run's.
 #[must_use]
-pub fn animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impacts: &[Impact]) -> Markup {
+pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impacts: &[Impact]) -> Markup {
     let labels = vehicle_names(scenario);
     let classes: Vec<VehicleClass> = scenario.vehicles().iter().map(|vehicle| vehicle.class).collect();
     let data = AnimationData::of(trace, impacts);
@@ -52,11 +52,11 @@ pub fn animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impa
     let end = format!("{:.2} s", data.end_s());
     let view = |name: &str, width: f64| {
         let px_per_m = width / data.window_m();
-        let view = View { data: &data, width, px_per_m, camera_m: data.camera_m(last) };
+        let view = LaneView { data: &data, width, px_per_m, camera_m: data.camera_m(last) };
         view.svg(&Svg::id(id, name), title, &classes)
     };
     html! {
-        div.draw-animation id=(Svg::id(id, "animation")) data-dash=(DASH_M) role="group" aria-label=(title) {
+        div.draw-animation id=(Svg::id(id, "animation")) data-dash=(DASH_PERIOD_M) role="group" aria-label=(title) {
             p.draw-title { (title) }
             div.draw-wide { (view("above-wide", 960.0)) }
             div.draw-narrow { (view("above-narrow", 360.0)) }
@@ -85,20 +85,20 @@ pub fn animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impa
     }
 }
 
-impl View<'_> {
-    fn x(&self, position_m: f64) -> f64 {
+impl LaneView<'_> {
+    fn to_px(&self, position_m: f64) -> f64 {
         self.width / 2.0 + (position_m - self.camera_m) * self.px_per_m
     }
 
-    fn svg(&self, prefix: &str, title: &str, classes: &[VehicleClass]) -> Svg {
+    fn draw(&self, prefix: &str, title: &str, classes: &[VehicleClass]) -> Svg {
         let last = self.data.samples().saturating_sub(1);
-        let (top, bottom) = (ABOVE, ABOVE + LANE);
-        let middle = ABOVE + LANE / 2.0;
-        let below = BELOW_LANE + if self.data.changes_lanes() { LANE_BESIDE } else { 0.0 };
-        let beside = bottom + BELOW_LANE - 16.0;
+        let (top, bottom) = (SPACE_ABOVE, SPACE_ABOVE + LANE_HEIGHT);
+        let middle = SPACE_ABOVE + LANE_HEIGHT / 2.0;
+        let below = SPACE_BELOW + if self.data.has_lane_changes() { ADJACENT_LANE_HEIGHT } else { 0.0 };
+        let beside = bottom + SPACE_BELOW - 16.0;
         let clip = Svg::id(prefix, "clip");
         let edge = |y| straight((0.0, y), (self.width, y), Stroke::solid(Ink::Axis, 1.4));
-        let dash = DASH_M * self.px_per_m;
+        let dash = DASH_PERIOD_M * self.px_per_m;
         let content = html! {
             clipPath id=(clip) { rect x="0" y="0" width=(Px(self.width)) height=(Px(bottom + below)) {} }
             g class="draw-view" data-width=(Px(self.width)) data-scale=(format!("{:.4}", self.px_per_m))
@@ -118,17 +118,17 @@ impl View<'_> {
                     }
                 }
                 @for rear in 1..self.data.vehicles().len() {
-                    @let is_below = rear % 2 == 1 && !self.data.changes_lanes();
+                    @let is_below = rear % 2 == 1 && !self.data.has_lane_changes();
                     (self.gap(rear, last, if is_below { bottom + 22.0 } else { top - 8.0 }))
                 }
                 @for impact in self.data.impacts() {
-                    @let x = self.x(self.data.hit_m(impact, last));
+                    @let x = self.x(self.data.impact_position_m(impact, last));
                     g class="draw-impact" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
                         (mark((0.0, 0.0), Marker::Burst, Ink::Alert))
                     }
                 }
             }
-            (self.scale_bar((self.width - 8.0, bottom + below - 6.0)))
+            (self.draw_scale_bar((self.width - 8.0, bottom + below - 6.0)))
         };
         let description = "The vehicles of a run on their lane, seen from above, moving to the right. Lengths and gaps are to \
             scale, widths are not. A bar at a vehicle's rear means that it brakes, a star contact.";
@@ -136,7 +136,7 @@ impl View<'_> {
     }
 
     /// A vehicle that ends at x = 0 in front, centred on y = 0.
-    fn body(&self, length_m: f64, class: VehicleClass, index: usize, braking: bool) -> Markup {
+    fn draw_vehicle(&self, length_m: f64, class: VehicleClass, index: usize, braking: bool) -> Markup {
         let length = (length_m * self.px_per_m).max(3.0);
         let width = match class {
             VehicleClass::Light => 22.0,
@@ -155,13 +155,13 @@ impl View<'_> {
             @if length >= 1.9 * tag_width(&number) {
                 (tag((-length / 2.0, 0.0), &number, ink))
             } @else {
-                (words((-length / 2.0, SMALL * 0.35), Anchor::Middle, &number, SMALL, Ink::Text, true))
+                (words((-length / 2.0, SMALL_TEXT_SIZE * 0.35), Anchor::Middle, &number, SMALL_TEXT_SIZE, Ink::Text, true))
             }
         }
     }
 
     /// The gap ahead of a vehicle as a line between two bumpers, and its length in words.
-    fn gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
+    fn draw_gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
         let ahead_m = self.data.gap_m(rear, sample);
         let gap_m = ahead_m.unwrap_or(0.0);
         let from = self.data.vehicles().get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
@@ -169,25 +169,25 @@ impl View<'_> {
         html! {
             g class="draw-gap" transform={ "translate(" (Px(place.0)) " " (Px(place.1)) ")" } {
                 @let said = ahead_m.map_or(String::new(), |gap_m| format!("{} m", signed(gap_m, 1)));
-                (words((0.0, 0.0), Anchor::Middle, &said, SMALL, Ink::Text, false))
+                (words((0.0, 0.0), Anchor::Middle, &said, SMALL_TEXT_SIZE, Ink::Text, false))
             }
         }
     }
 
-    fn scale_bar(&self, (right, y): Place) -> Markup {
-        let metres = if DASH_M * self.px_per_m > 24.0 { DASH_M } else { 5.0 * DASH_M };
+    fn draw_scale_bar(&self, (right, y): Place) -> Markup {
+        let metres = if DASH_PERIOD_M * self.px_per_m > 24.0 { DASH_PERIOD_M } else { 5.0 * DASH_PERIOD_M };
         let left = right - metres * self.px_per_m;
         html! {
             (straight((left, y), (right, y), Stroke::solid(Ink::Muted, 1.2)))
             (straight((left, y - 3.0), (left, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
             (straight((right, y - 3.0), (right, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
-            (words((left - 5.0, y + SMALL * 0.35), Anchor::End, &format!("{metres} m"), SMALL, Ink::Muted, false))
+            (words((left - 5.0, y + SMALL_TEXT_SIZE * 0.35), Anchor::End, &format!("{metres} m"), SMALL_TEXT_SIZE, Ink::Muted, false))
         }
     }
 
     /// How far the dashes are behind the left edge, so that they stand still on the road.
     fn dash_offset(&self) -> f64 {
         let left_m = self.camera_m - self.width / 2.0 / self.px_per_m;
-        left_m.rem_euclid(DASH_M) * self.px_per_m
+        left_m.rem_euclid(DASH_PERIOD_M) * self.px_per_m
     }
 }

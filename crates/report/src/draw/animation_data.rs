@@ -9,10 +9,10 @@ use crumple_world::sim::{Impact, Trace, Track};
 pub(super) const STEP_S: f64 = 0.05;
 
 /// Most samples of a run: longer ones are shown from their start.
-const MOST_SAMPLES: usize = 6_000;
+const MAX_SAMPLES: usize = 6_000;
 
 /// The lane shows this much at least and at most, in metres.
-const WINDOW_M: (f64, f64) = (40.0, 220.0);
+const WINDOW_RANGE_M: (f64, f64) = (40.0, 220.0);
 
 /// A run, as the script reads it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -48,12 +48,12 @@ pub(super) struct ImpactData {
 }
 
 impl AnimationData {
-    pub(super) fn of(trace: &Trace, impacts: &[Impact]) -> Self {
+    pub(super) fn new(trace: &Trace, impacts: &[Impact]) -> Self {
         let (start_s, last_s) = match (trace.time_s.first(), trace.time_s.last()) {
             (Some(&first), Some(&last)) if first.is_finite() && last >= first => (first, last),
             _ => (0.0, 0.0),
         };
-        let steps = ((last_s - start_s) / STEP_S - 1e-9).ceil().clamp(0.0, MOST_SAMPLES as f64) as usize;
+        let steps = ((last_s - start_s) / STEP_S - 1e-9).ceil().clamp(0.0, MAX_SAMPLES as f64) as usize;
         let end_s = last_s.min(start_s + steps as f64 * STEP_S);
         let times: Vec<f64> = (0..=steps).map(|step| (start_s + step as f64 * STEP_S).min(end_s)).collect();
         let vehicles: Vec<VehicleData> =
@@ -79,14 +79,14 @@ impl AnimationData {
             impacts,
         };
         // A line too long for the picture is seen where it touches first.
-        if let (true, Some(first)) = (data.widest_m() > WINDOW_M.1, data.impacts.first()) {
+        if let (true, Some(first)) = (data.max_span_m() > WINDOW_RANGE_M.1, data.impacts.first()) {
             data.centred = (first.front, first.rear);
         }
         data
     }
 
     /// Number of samples of each vehicle.
-    pub(super) fn samples(&self) -> usize {
+    pub(super) fn sample_count(&self) -> usize {
         self.vehicles.first().map_or(0, |vehicle| vehicle.position_m.len())
     }
 
@@ -104,11 +104,11 @@ impl AnimationData {
 
     /// What the picture spans, in metres: all vehicles at all times where that is not too much.
     pub(super) fn window_m(&self) -> f64 {
-        (1.08 * self.widest_m() + 2.0).clamp(WINDOW_M.0, WINDOW_M.1)
+        (1.08 * self.max_span_m() + 2.0).clamp(WINDOW_RANGE_M.0, WINDOW_RANGE_M.1)
     }
 
     /// Longest distance from the front of the first to the rear of the last vehicle.
-    fn widest_m(&self) -> f64 {
+    fn max_span_m(&self) -> f64 {
         let (Some(first), Some(last)) = (self.vehicles.first(), self.vehicles.last()) else { return 0.0 };
         let spans = first.position_m.iter().zip(&last.position_m).map(|(front, rear)| front - rear + last.length_m);
         extent(spans).1
@@ -122,7 +122,7 @@ impl AnimationData {
     }
 
     /// Whether some vehicle is beside the lane at some time.
-    pub(super) fn changes_lanes(&self) -> bool {
+    pub(super) fn has_lane_changes(&self) -> bool {
         self.vehicles.iter().any(|vehicle| vehicle.in_lane_s.is_some())
     }
 
@@ -142,12 +142,12 @@ impl AnimationData {
     }
 
     /// The front bumper of the vehicle that hits.
-    pub(super) fn hit_m(&self, impact: &ImpactData, sample: usize) -> f64 {
+    pub(super) fn impact_position_m(&self, impact: &ImpactData, sample: usize) -> f64 {
         self.vehicles.get(impact.rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0)
     }
 
     /// What has happened by then, as the script says it too.
-    pub(super) fn event(&self, time_s: f64) -> String {
+    pub(super) fn event_text(&self, time_s: f64) -> String {
         let so_far: Vec<_> = self.impacts.iter().filter(|impact| impact.time_s <= time_s).collect();
         match so_far.last() {
             None => "no contact".to_owned(),
@@ -157,14 +157,14 @@ impl AnimationData {
         }
     }
 
-    pub(super) fn json(&self) -> String {
+    pub(super) fn to_json(&self) -> String {
         // Finite numbers and fixed names always serialize.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
 impl VehicleData {
-    fn of(time_s: &[f64], track: &Track, at_s: &[f64]) -> Self {
+    fn new(time_s: &[f64], track: &Track, at_s: &[f64]) -> Self {
         let sampled = |values: &[f64], digits| -> Vec<f64> {
             at_s.iter().map(|&at| rounded(between(time_s, values, at), digits)).collect()
         };
@@ -198,7 +198,7 @@ impl VehicleData {
 }
 
 /// A value between samples, on the straight line through both.
-fn between(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
+fn interpolate(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
     let after = time_s.partition_point(|time| *time < at_s);
     let last = values.last().copied().unwrap_or(0.0);
     let (t1, v1) = (time_s.get(after).copied().unwrap_or(at_s), values.get(after).copied().unwrap_or(last));
@@ -210,14 +210,14 @@ fn between(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
 }
 
 /// A value that is held from its sample to the next.
-fn held(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
+fn hold_previous(time_s: &[f64], values: &[f64], at_s: f64) -> f64 {
     let next = time_s.partition_point(|time| *time <= at_s + 1e-9);
     let index = next.saturating_sub(1).min(values.len().saturating_sub(1));
     values.get(index).copied().unwrap_or(0.0)
 }
 
 /// Rounded to so many digits; 0 for what is not finite, which JSON cannot hold.
-fn rounded(value: f64, digits: i32) -> f64 {
+fn round_to_digits(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     let rounded = (value * scale).round() / scale;
     if rounded.is_finite() { rounded + 0.0 } else { 0.0 }
@@ -232,7 +232,7 @@ mod tests {
     use proptest::num::f64::ANY as ANY_NUMBER;
     use proptest::prelude::*;
 
-    fn run(name: &str, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+    fn simulate_built_in(name: &str, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
         let scenario = built_in(name).unwrap();
         let options = RunOptions::new(ControllerSpec::named("baseline").unwrap()).with_after_contact(after_contact);
         let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);

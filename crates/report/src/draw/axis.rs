@@ -6,13 +6,13 @@ use super::label::{Frame, printable};
 use super::panel::{Anchor, straight, words};
 use super::path::Px;
 use super::scale::{Scale, Ticks, drawable};
-use super::theme::{Ink, SMALL, Stroke};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
 
 /// Width left of a panel's frame that ticks and their labels take, in pixels.
-pub const LEFT: f64 = 38.0;
+pub const LEFT_MARGIN: f64 = 38.0;
 
 /// Height below a panel's frame that ticks, their labels and the axis title take, in pixels.
-pub const BELOW: f64 = 36.0;
+pub const BOTTOM_MARGIN: f64 = 36.0;
 
 /// One axis.
 ///
@@ -22,14 +22,14 @@ pub const BELOW: f64 = 36.0;
 pub struct Axis {
     title: String,
     domain: (f64, f64),
-    marks: Vec<(f64, String)>,
-    grid: bool,
+    ticks: Vec<(f64, String)>,
+    has_grid: bool,
 }
 
 impl Axis {
     /// An axis of numbers with round ones marked, about `most` (5 to 10) of them.
     #[must_use]
-    pub fn numbers(title: &str, domain: (f64, f64), most: usize) -> Self {
+    pub fn numeric(title: &str, domain: (f64, f64), most: usize) -> Self {
         let domain = drawable(domain);
         let marks = Ticks::within(domain, most).labelled().collect();
         Self { title: title.to_owned(), domain, marks, grid: true }
@@ -38,16 +38,16 @@ impl Axis {
     /// An axis on which the caller says what is marked where: for scales that are not even in the number, such as a
     /// logarithmic one.
     #[must_use]
-    pub fn marked(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
+    pub fn with_ticks(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
         Self { title: title.to_owned(), domain: drawable(domain), marks, grid: true }
     }
 
     /// An axis of names: the `n`-th at the value `n`, with half a unit around.
     ///
-    /// On a vertical axis they end just left of the frame and may need more room than [`LEFT`]: leave the
+    /// On a vertical axis they end just left of the frame and may need more room than [`LEFT_MARGIN`]: leave the
     /// [`text_width`](super::text_width) of the longest.
     #[must_use]
-    pub fn names<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
+    pub fn categorical<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
         let marks = names.iter().enumerate().map(|(index, name)| (index as f64, name.as_ref().to_owned())).collect();
         let domain = (-0.5, names.len().max(1) as f64 - 0.5);
         Self { title: title.to_owned(), domain, marks, grid: false }
@@ -85,13 +85,13 @@ impl Axis {
                     (straight((x, frame.top), (x, bottom), Stroke::solid(Ink::Grid, 0.8)))
                     (straight((x, bottom), (x, bottom + 4.0), Stroke::solid(Ink::Axis, 1.0)))
                 }
-                (words((x, bottom + 15.0), Anchor::Middle, label, SMALL, Ink::Text, false))
+                (words((x, bottom + 15.0), Anchor::Middle, label, SMALL_TEXT_SIZE, Ink::Text, false))
             }
             @if !self.marks.is_empty() {
                 (straight((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
             }
             @if !self.title.is_empty() {
-                (words((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL, Ink::Muted, false))
+                (words((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
             }
         }
     }
@@ -104,7 +104,7 @@ impl Axis {
                 @if self.grid {
                     (straight((frame.left, y), (frame.right(), y), Stroke::solid(Ink::Grid, 0.8)))
                 }
-                text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL * 0.35)) text-anchor="end" font-size=(Px(SMALL))
+                text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL_TEXT_SIZE * 0.35)) text-anchor="end" font-size=(Px(SMALL_TEXT_SIZE))
                     fill=(Ink::Text.hex()) { (printable(label)) }
             }
         }

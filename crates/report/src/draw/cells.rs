@@ -6,15 +6,15 @@ use maud::{Markup, html};
 
 use super::label::{Frame, text_width};
 use super::panel::{Anchor, Marker, mark, straight, words};
-use super::theme::{Ink, SMALL, Stroke, TEXT};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
 
 /// Height of a row of the key, and side of a sample in it, in pixels.
-const KEY_ROW: f64 = 22.0;
-const SAMPLE: f64 = 14.0;
+const LEGEND_ROW_HEIGHT: f64 = 22.0;
+const SWATCH_SIZE: f64 = 14.0;
 
 /// What a cell looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CellLook {
+pub enum CellStyle {
     /// Blank, on a quiet ground: nothing happened.
     Blank,
     /// Crossed, on an alarming ground.
@@ -27,9 +27,9 @@ pub enum CellLook {
 
 /// An entry of a key.
 #[derive(Debug, Clone, Copy)]
-pub enum KeyEntry<'a> {
+pub enum LegendEntry<'a> {
     /// A cell, and what it means.
-    Cell(CellLook, &'a str),
+    Cell(CellStyle, &'a str),
     /// A line, and what it means.
     Line(Stroke, &'a str),
     /// A mark, and what it means.
@@ -37,7 +37,7 @@ pub enum KeyEntry<'a> {
 }
 
 /// The cells of a grid within a frame, row by row from the top.
-pub(crate) fn grid_frames(frame: Frame, columns: usize, rows: usize) -> impl Iterator<Item = Frame> {
+pub(crate) fn grid_rects(frame: Frame, columns: usize, rows: usize) -> impl Iterator<Item = Frame> {
     let (width, height) = (frame.width / columns.max(1) as f64, frame.height / rows.max(1) as f64);
     (0..rows).flat_map(move |row| {
         (0..columns).map(move |column| {
@@ -48,20 +48,20 @@ pub(crate) fn grid_frames(frame: Frame, columns: usize, rows: usize) -> impl Ite
 }
 
 /// All cells of one look.
-pub fn cells(look: CellLook, frames: impl Iterator<Item = Frame>) -> Markup {
+pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = Frame>) -> Markup {
     let (mut outline, mut strokes, mut marks) = (String::new(), String::new(), Vec::new());
     for Frame { left, top, width, height } in frames {
         let (x, y) = (left + width / 2.0, top + height / 2.0);
         // Writing to a string cannot fail.
         let _ = write!(outline, "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z", -width);
         match look {
-            CellLook::Blank => {}
-            CellLook::Crossed => {
+            CellStyle::Blank => {}
+            CellStyle::Crossed => {
                 let arm = 0.2 * width.min(height);
                 let (from, to) = (-2.0 * arm, 2.0 * arm);
                 let _ = write!(strokes, "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}", x - arm, y - arm);
             }
-            CellLook::Hatched => {
+            CellStyle::Hatched => {
                 let (w, h) = (width / 2.0, height / 2.0);
                 let bottom = top + height;
                 let _ = write!(
@@ -71,16 +71,16 @@ pub fn cells(look: CellLook, frames: impl Iterator<Item = Frame>) -> Markup {
                 );
                 let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {:.1}", -h);
             }
-            CellLook::Lettered(letter) => {
-                marks.push(words((x, y + SMALL * 0.35), Anchor::Middle, letter, SMALL, Ink::Text, false));
+            CellStyle::Lettered(letter) => {
+                marks.push(words((x, y + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, letter, SMALL_TEXT_SIZE, Ink::Text, false));
             }
         }
     }
     let (ink, opacity) = match look {
-        CellLook::Blank => (Ink::Series(2), "0.16"),
-        CellLook::Crossed => (Ink::Alert, "0.2"),
-        CellLook::Hatched => (Ink::Muted, "0.3"),
-        CellLook::Lettered(_) => (Ink::Series(4), "0.25"),
+        CellStyle::Blank => (Ink::Series(2), "0.16"),
+        CellStyle::Crossed => (Ink::Alert, "0.2"),
+        CellStyle::Hatched => (Ink::Muted, "0.3"),
+        CellStyle::Lettered(_) => (Ink::Series(4), "0.25"),
     };
     html! {
         @if !outline.is_empty() { path d=(outline) fill=(ink.hex()) fill-opacity=(opacity) {} }
@@ -91,27 +91,27 @@ pub fn cells(look: CellLook, frames: impl Iterator<Item = Frame>) -> Markup {
 
 /// What each look and line means, in rows no wider than the figure, and their height.
 #[must_use]
-pub fn key(entries: &[KeyEntry<'_>], width: f64) -> (Markup, f64) {
+pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
     let (mut x, mut row) = (0.0, 0.0);
     let mut drawn = Vec::new();
     for entry in entries {
-        let (KeyEntry::Cell(_, text) | KeyEntry::Line(_, text) | KeyEntry::Mark(_, text)) = *entry;
-        let wide = SAMPLE + 7.0 + text_width(text, TEXT);
+        let (LegendEntry::Cell(_, text) | LegendEntry::Line(_, text) | LegendEntry::Mark(_, text)) = *entry;
+        let wide = SWATCH_SIZE + 7.0 + text_width(text, TEXT);
         if x > 0.0 && x + wide > width {
             (x, row) = (0.0, row + 1.0);
         }
         let y = KEY_ROW * (row + 0.5);
-        let sample = Frame::around((x + SAMPLE / 2.0 + 1.0, y), SAMPLE, SAMPLE);
-        let after = x + SAMPLE + 7.0;
+        let sample = Frame::around((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
+        let after = x + SWATCH_SIZE + 7.0;
         drawn.push(html! {
             @match entry {
-                KeyEntry::Cell(look, _) => {
+                LegendEntry::Cell(look, _) => {
                     (cells(*look, std::iter::once(sample)))
-                    rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SAMPLE) height=(SAMPLE)
+                    rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SWATCH_SIZE) height=(SWATCH_SIZE)
                         fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
                 }
-                KeyEntry::Mark(marker, _) => (mark((sample.left + SAMPLE / 2.0, y), *marker, Ink::Text))
-                KeyEntry::Line(stroke, _) => (straight((sample.left, y), (sample.right(), y), *stroke))
+                LegendEntry::Mark(marker, _) => (mark((sample.left + SWATCH_SIZE / 2.0, y), *marker, Ink::Text))
+                LegendEntry::Line(stroke, _) => (straight((sample.left, y), (sample.right(), y), *stroke))
             }
             (words((after, y + TEXT * 0.35), Anchor::Start, text, TEXT, Ink::Text, false))
         });

@@ -20,20 +20,20 @@ pub(super) struct Focus {
     /// The gap between them, 0 at contact.
     pub(super) gap_m: f64,
     /// Whether they touch.
-    pub(super) contact: bool,
+    pub(super) is_contact: bool,
 }
 
 /// Shares of the host's width and height that the inset may take, the first that hides nothing.
-const SHARES: [(f64, f64); 4] = [(0.5, 0.46), (0.46, 0.42), (0.42, 0.37), (0.38, 0.33)];
+const INSET_SIZES: [(f64, f64); 4] = [(0.5, 0.46), (0.46, 0.42), (0.42, 0.37), (0.38, 0.33)];
 
 /// Distance of the inset from the host's frame, in pixels.
 const MARGIN: f64 = 8.0;
 
 /// Share of the trajectories' points that an inset may hide at most.
-const MOST_HIDDEN: f64 = 0.03;
+const MAX_HIDDEN_SHARE: f64 = 0.03;
 
 /// Adds the inset in the corner where it hides least; none where it would hide much.
-pub(super) fn add(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
+pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
     let (Some(front), Some(rear)) = (trace.vehicles.get(focus.front), trace.vehicles.get(focus.rear)) else { return };
     let (time, space) = window(trace, focus, front, rear);
     let Some(frame) = corner(host, trace) else { return };
@@ -76,7 +76,7 @@ pub(super) fn add(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
 }
 
 /// Two lines from corners of what is enlarged to corners of the enlargement, which do not cross it.
-fn rays(source: Frame, frame: Frame) -> Markup {
+fn draw_connectors(source: Frame, frame: Frame) -> Markup {
     let below = source.top < frame.top;
     let (near, far) = if below { (source.bottom(), frame.top) } else { (source.top, frame.bottom()) };
     let stroke = Stroke::solid(Ink::Muted, 0.6);
@@ -86,7 +86,7 @@ fn rays(source: Frame, frame: Frame) -> Markup {
     }
 }
 
-fn outline(Frame { left, top, width, height }: Frame, fill: &str) -> Markup {
+fn draw_outline(Frame { left, top, width, height }: Frame, fill: &str) -> Markup {
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) fill=(fill) stroke=(Ink::Muted.hex())
             stroke-width="0.8" {}
@@ -94,7 +94,7 @@ fn outline(Frame { left, top, width, height }: Frame, fill: &str) -> Markup {
 }
 
 /// Ranges of time and position to enlarge: room for both vehicles, and long enough that neither moves out of it.
-fn window(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f64), (f64, f64)) {
+fn zoom_ranges(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f64), (f64, f64)) {
     let bodies_m = front.length_m.min(8.0) + rear.length_m.min(12.0);
     let metres = (1.5 * (bodies_m + focus.gap_m.max(0.0))).clamp(12.0, 60.0);
     let speed_mps = speed_at(trace, front, focus.time_s).max(speed_at(trace, rear, focus.time_s));
@@ -107,7 +107,7 @@ fn window(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f
 }
 
 /// A place in the lower right or the upper left corner of the host, as large as the trajectories leave free.
-fn corner(host: &Panel, trace: &Trace) -> Option<Frame> {
+fn place_inset(host: &Panel, trace: &Trace) -> Option<Frame> {
     let around = host.frame();
     let corners = |(wide, high): (f64, f64)| {
         let (width, height) = (wide * around.width, high * around.height);
@@ -127,7 +127,7 @@ fn corner(host: &Panel, trace: &Trace) -> Option<Frame> {
         samples.iter().filter(|place| wider.holds(**place)).count()
     };
     let best = SHARES.into_iter().flat_map(corners).min_by_key(hidden)?;
-    (hidden(&best) as f64 <= MOST_HIDDEN * samples.len() as f64).then_some(best)
+    (hidden(&best) as f64 <= MAX_HIDDEN_SHARE * samples.len() as f64).then_some(best)
 }
 
 /// The samples from one index to before another.
@@ -144,7 +144,7 @@ fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
 }
 
 /// Front bumper at the first sample not before `time_s`.
-fn at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
+fn position_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
     let index = trace.time_s.partition_point(|time| *time < time_s);
     track.position_m.get(index).or(track.position_m.last()).copied().unwrap_or(0.0)
 }

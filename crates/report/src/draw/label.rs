@@ -4,7 +4,7 @@ use super::path::Place;
 
 /// A rectangle in the figure, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct PixelRect {
     /// Left edge.
     pub left: f64,
     /// Top edge.
@@ -15,10 +15,10 @@ pub struct Frame {
     pub height: f64,
 }
 
-impl Frame {
+impl PixelRect {
     /// The rectangle of that size around a centre.
     #[must_use]
-    pub fn around((x, y): Place, width: f64, height: f64) -> Self {
+    pub fn from_center((x, y): Place, width: f64, height: f64) -> Self {
         Self { left: x - width / 2.0, top: y - height / 2.0, width, height }
     }
 
@@ -51,7 +51,7 @@ impl Frame {
 
     /// Whether a place lies inside.
     #[must_use]
-    pub fn holds(&self, (x, y): Place) -> bool {
+    pub fn contains(&self, (x, y): Place) -> bool {
         (self.left..=self.right()).contains(&x) && (self.top..=self.bottom()).contains(&y)
     }
 }
@@ -78,7 +78,7 @@ pub fn text_width(text: &str, size: f64) -> f64 {
 
 /// `text` if it is no wider than `width` pixels, else its beginning and an ellipsis.
 #[must_use]
-pub(crate) fn shortened(text: &str, size: f64, width: f64) -> String {
+pub(crate) fn truncate_to_width(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
         return text.to_owned();
     }
@@ -94,7 +94,7 @@ pub(crate) fn shortened(text: &str, size: f64, width: f64) -> String {
 
 /// `text` in lines no wider than `width` pixels, broken between words; a single word may be wider.
 #[must_use]
-pub(crate) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
+pub(crate) fn wrap_to_width(text: &str, size: f64, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
         match lines.last_mut() {
@@ -109,7 +109,7 @@ pub(crate) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
 }
 
 /// `text` without the characters that XML 1.0 (section 2.2) does not allow, in one line.
-pub(crate) fn printable(text: &str) -> String {
+pub(crate) fn strip_unprintable(text: &str) -> String {
     let allowed = |letter: &char| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
     text.chars().map(|letter| if letter.is_whitespace() { ' ' } else { letter }).filter(allowed).collect()
 }
@@ -118,7 +118,7 @@ pub(crate) fn printable(text: &str) -> String {
 ///
 /// Where there is not enough room, the spacing shrinks until there is.
 #[must_use]
-pub(crate) fn spread(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
+pub(crate) fn spread_evenly(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..wanted.len()).collect();
     let aim = |index: usize| wanted.get(index).copied().filter(|w| w.is_finite()).unwrap_or(limits.0);
     order.sort_by(|&a, &b| aim(a).total_cmp(&aim(b)));
@@ -153,17 +153,17 @@ pub(crate) fn spread(wanted: &[f64], spacing: f64, limits: (f64, f64)) -> Vec<f6
 const CANDIDATES: usize = 64;
 
 /// A distance to other lines beyond which more does not make a better place, in pixels.
-const CLEAR_PX: f64 = 22.0;
+const MAX_CLEARANCE_PX: f64 = 22.0;
 
 /// Centres for one label on each line, at places where the lines are far apart; none where there is no room.
 ///
 /// `lines` run from left to right; `sizes` are widths and heights of the labels; labels stay inside `frame` and off
 /// `taken`, to which they are added.
-pub(crate) fn on_lines(
+pub(crate) fn place_line_labels(
     lines: &[Vec<Place>],
     sizes: &[(f64, f64)],
-    frame: Frame,
-    taken: &mut Vec<Frame>,
+    frame: PixelRect,
+    taken: &mut Vec<PixelRect>,
 ) -> Vec<Option<Place>> {
     let mut centres = Vec::with_capacity(lines.len());
     for (index, (line, &(width, height))) in lines.iter().zip(sizes).enumerate() {
@@ -171,29 +171,29 @@ pub(crate) fn on_lines(
         let mut best: Option<(f64, Place)> = None;
         for step in 0..=CANDIDATES {
             let x = from + (to - from) * step as f64 / CANDIDATES as f64;
-            let Some(y) = height_at(line, x) else { continue };
-            let label = Frame::around((x, y), width, height);
+            let Some(y) = interpolate_y(line, x) else { continue };
+            let label = PixelRect::around((x, y), width, height);
             if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
                 continue;
             }
             let others = lines.iter().enumerate().filter(|(other, _)| *other != index);
             let clearance = others
-                .flat_map(|(_, other)| [x - width / 2.0, x, x + width / 2.0].map(|x| height_at(other, x)))
+                .flat_map(|(_, other)| [x - width / 2.0, x, x + width / 2.0].map(|x| interpolate_y(other, x)))
                 .flatten()
                 .map(|other| (other - y).abs())
-                .fold(CLEAR_PX, f64::min);
+                .fold(MAX_CLEARANCE_PX, f64::min);
             if best.is_none_or(|(score, _)| clearance > score) {
                 best = Some((clearance, (x, y)));
             }
         }
-        taken.extend(best.map(|(_, centre)| Frame::around(centre, width + 2.0, height + 2.0)));
+        taken.extend(best.map(|(_, centre)| PixelRect::around(centre, width + 2.0, height + 2.0)));
         centres.push(best.map(|(_, centre)| centre));
     }
     centres
 }
 
 /// Height of a line that runs from left to right at `x`; none outside it.
-fn height_at(line: &[Place], x: f64) -> Option<f64> {
+fn interpolate_y(line: &[Place], x: f64) -> Option<f64> {
     let after = line.partition_point(|point| point.0 < x);
     let &(x1, y1) = line.get(after)?;
     let Some(&(x0, y0)) = after.checked_sub(1).and_then(|before| line.get(before)) else {
@@ -224,16 +224,16 @@ mod tests {
         fn labels_on_lines_cover_neither_each_other_nor_what_is_taken(
             heights in proptest::collection::vec(proptest::collection::vec(0.0..240.0f64, 2..30), 1..20),
         ) {
-            let frame = Frame { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
+            let frame = PixelRect { left: 0.0, top: 0.0, width: 200.0, height: 240.0 };
             let lines: Vec<Vec<Place>> = heights
                 .iter()
                 .map(|line| line.iter().enumerate().map(|(i, &y)| (i as f64 * 6.0, y)).collect())
                 .collect();
             let sizes = vec![(16.0, 14.0); lines.len()];
-            let corner = Frame { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
+            let corner = PixelRect { left: 100.0, top: 120.0, width: 100.0, height: 120.0 };
             let mut taken = vec![corner];
             let places = on_lines(&lines, &sizes, frame, &mut taken);
-            let labels: Vec<Frame> = places.iter().flatten().map(|&at| Frame::around(at, 16.0, 14.0)).collect();
+            let labels: Vec<PixelRect> = places.iter().flatten().map(|&at| PixelRect::around(at, 16.0, 14.0)).collect();
             for (i, label) in labels.iter().enumerate() {
                 prop_assert!(frame.encloses(label) && !label.overlaps(&corner));
                 prop_assert!(labels.iter().skip(i + 1).all(|other| !other.overlaps(label)));

@@ -16,10 +16,10 @@ mod closeup;
 mod label;
 mod motion;
 mod motion_axes;
-mod names;
+mod vehicle_names;
 mod panel;
 mod path;
-mod plan;
+mod figure_layout;
 #[cfg(feature = "png")]
 mod png;
 mod scale;
@@ -28,22 +28,22 @@ mod theme;
 use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
-pub use axis::{Axis, BELOW, LEFT};
+pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
 pub(crate) use cells::grid_frames;
-pub use cells::{CellLook, KeyEntry, cells, key};
+pub use cells::{CellStyle, LegendEntry, cells, key};
 pub use label::{Frame, text_width};
 pub use motion::{Layout, MotionFigure, motion, motion_on, motion_responsive};
 pub(crate) use motion::{motion_beside, motion_plate};
 pub use motion_axes::MotionAxes;
-pub use names::vehicle_names;
+pub use vehicle_names::vehicle_names;
 pub(crate) use panel::TaggedLine;
-pub use panel::{Anchor, HEADING, Marker, Panel, mark, words};
+pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, mark, words};
 pub(crate) use path::Place;
 #[cfg(feature = "png")]
 pub use png::DrawError;
 pub(crate) use scale::Ticks;
 pub use scale::{extent, padded, signed};
-pub use theme::{Ink, SMALL, STYLE, Stroke};
+pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 
 use crumple_core::quoted::Lines;
 pub(crate) use label::printable;
@@ -149,7 +149,7 @@ impl maud::Render for Svg {
 }
 
 /// Letters, digits, hyphens and underscores of `text`, after a letter.
-fn identifier(text: &str) -> String {
+fn sanitize_id(text: &str) -> String {
     let plain = |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '-' };
     let name: String = text.chars().map(plain).collect();
     if name.starts_with(|letter: char| letter.is_ascii_alphabetic()) { name } else { format!("f{name}") }

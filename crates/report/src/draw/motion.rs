@@ -3,14 +3,14 @@
 use super::path::Px;
 use maud::{Markup, html};
 
-use super::axis::LEFT;
+use super::axis::LEFT_MARGIN;
 use super::closeup::{self, Focus};
 use super::label::{Frame, spread, text_width};
 use super::motion_axes::MotionAxes;
 use super::panel::{Anchor, Marker, Panel, TaggedLine, straight, tag, tag_width, words};
-use super::plan::{LABEL_STEP, Plan, name_of};
+use super::figure_layout::{LABEL_STEP, Plan, name_of};
 use super::scale::extent;
-use super::theme::{Ink, SMALL, Stroke, TEXT};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
 use super::{Svg, path};
 use crumple_world::sim::{Contact, Impact, Trace, Track};
 
@@ -32,7 +32,7 @@ pub struct MotionFigure<'a> {
 /// How the panels are arranged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Layout {
+pub enum PanelArrangement {
     /// Side by side, 960 pixels wide: screens and paper.
     Wide,
     /// One above the other, 360 pixels wide: phones.
@@ -42,21 +42,21 @@ pub enum Layout {
 }
 
 /// With more vehicles than this, lines lie too close for tags on them to be of use.
-const MOST_TAGGED: usize = 60;
+const MAX_TAGGED_VEHICLES: usize = 60;
 
 /// Draws the three diagrams of one run.
 #[must_use]
-pub fn motion(figure: &MotionFigure<'_>, layout: Layout) -> Svg {
+pub fn draw_motion(figure: &MotionFigure<'_>, layout: PanelArrangement) -> Svg {
     motion_on(figure, &MotionAxes::of(figure.trace), layout)
 }
 
 /// Draws the three diagrams of one run on given axes, so that it can be compared with others.
 #[must_use]
-pub fn motion_on(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: Layout) -> Svg {
+pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: PanelArrangement) -> Svg {
     let plan = Plan::new(figure, layout);
     let id = |name: &str| Svg::id(figure.prefix, name);
     let content = html! {
-        (plan.title_and_key(figure))
+        (plan.draw_title_and_legend(figure))
         (space(figure, &plan, axes, &id("closeup")).draw(&id("space")))
         (speed(figure, plan.speed, axes).draw(&id("speed")))
         (spacing(figure, plan.spacing, axes).draw(&id("spacing")))
@@ -66,18 +66,18 @@ pub fn motion_on(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: Layout) -
 
 /// Both layouts for an HTML page that holds [`STYLE`](super::STYLE), which shows the one that fits.
 #[must_use]
-pub fn motion_responsive(figure: &MotionFigure<'_>) -> Markup {
+pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     let (wide, narrow) = (format!("{}-wide", figure.prefix), format!("{}-narrow", figure.prefix));
     html! {
-        div.draw-wide { (motion(&MotionFigure { prefix: &wide, ..*figure }, Layout::Wide)) }
-        div.draw-narrow { (motion(&MotionFigure { prefix: &narrow, ..*figure }, Layout::Stacked)) }
+        div.draw-wide { (motion(&MotionFigure { prefix: &wide, ..*figure }, PanelArrangement::Wide)) }
+        div.draw-narrow { (motion(&MotionFigure { prefix: &narrow, ..*figure }, PanelArrangement::Stacked)) }
     }
 }
 
 /// Several runs on the same axes, for an HTML page that holds [`STYLE`](super::STYLE): two columns where there is room,
 /// one below the other where there is not.
 #[must_use]
-pub(crate) fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
+pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup {
     let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
     let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
         let prefix = format!("{}-{name}", figure.prefix);
@@ -85,37 +85,37 @@ pub(crate) fn motion_beside(figures: &[MotionFigure<'_>]) -> Markup {
     };
     html! {
         div.draw-wide { div.draw-beside {
-            @for figure in figures { (drawn(figure, "column", Layout::Column)) }
+            @for figure in figures { (drawn(figure, "column", PanelArrangement::Column)) }
         } }
-        div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", Layout::Stacked)) } }
+        div.draw-narrow { @for figure in figures { (drawn(figure, "narrow", PanelArrangement::Stacked)) } }
     }
 }
 
 /// Several runs on the same axes as one figure, in columns: a file for itself.
 #[must_use]
-pub(crate) fn motion_plate(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
+pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
     let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
-    let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, Layout::Column)).collect();
-    let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + PLATE_GAP)));
+    let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, PanelArrangement::Column)).collect();
+    let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + COLUMN_GAP)));
     let content = html! {
         @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
     };
-    let width = drawn.iter().map(|svg| svg.size().0 + PLATE_GAP).sum::<f64>() - PLATE_GAP;
+    let width = drawn.iter().map(|svg| svg.size().0 + COLUMN_GAP).sum::<f64>() - COLUMN_GAP;
     let height = drawn.iter().map(|svg| svg.size().1).fold(0.0, f64::max);
     Svg::new(prefix, (width.max(0.0), height), title, "The runs beside each other, on the same axes.", content)
 }
 
 /// Between the columns of a plate, in pixels.
-const PLATE_GAP: f64 = 20.0;
+const COLUMN_GAP: f64 = 20.0;
 
-fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
+fn position_panel(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let mut panel = Panel::new(plan.space, "Position of the vehicles (m)", axes.time(), axes.position());
     for (index, track) in trace.vehicles.iter().enumerate() {
         body(&mut panel, &trace.time_s, track, index);
     }
     mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
-        let place = hit_position_m(trace, contact);
+        let place = impact_position_m(trace, contact);
         (format!("contact {} at {:.2} s, {:.1} m/s", pair(contact), contact.time_s, contact.impact_speed_mps), place)
     });
     if let Some(focus) = focus(figure) {
@@ -124,12 +124,12 @@ fn space(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: 
         }
         closeup::add(&mut panel, trace, &focus, closeup_id);
     }
-    end_labels(&mut panel, figure, plan);
+    add_end_labels(&mut panel, figure, plan);
     panel
 }
 
 /// A vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
-pub(super) fn body(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
+pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
     let front = points(time_s, track.position_m.iter().copied());
     let rear = points(time_s, track.position_m.iter().map(|front| front - track.length_m));
     if track.in_lane_s != Track::THROUGHOUT_S {
@@ -146,7 +146,7 @@ pub(super) fn body(panel: &mut Panel, time_s: &[f64], track: &Track, index: usiz
 }
 
 /// Numbers, and where there is room names, to the right of where each vehicle ends up.
-fn end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
+fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
     let frame = panel.frame();
     let end = |track: &Track| {
         let last = (figure.trace.time_s.last()?, track.position_m.last()?);
@@ -162,14 +162,14 @@ fn end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
         panel.overlay(html! {
             (straight(from, (left, y), Stroke::solid(ink, 0.8)))
             (tag((left + tag_width(&number) / 2.0, y), &number, ink))
-            @if plan.layout == Layout::Wide {
+            @if plan.layout == PanelArrangement::Wide {
                 (words((name_left, y + TEXT * 0.35), Anchor::Start, &name_of(figure, index), TEXT, Ink::Text, false))
             }
         });
     }
 }
 
-fn speed(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+fn speed_panel(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let mut panel = Panel::new(frame, "Speed (m/s)", axes.time(), axes.speed());
     let mut tags = Vec::new();
@@ -187,18 +187,18 @@ fn speed(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
         let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
         (format!("contact {}: {rear:.1} into {front:.1} m/s", pair(contact)), (rear + front) / 2.0)
     });
-    if tags.len() <= MOST_TAGGED {
+    if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.tags(&tags);
     }
     panel
 }
 
-fn spacing(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+fn gap_panel(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let at = |(sample, gap_m): (usize, f64)| Some((*trace.time_s.get(sample)?, gap_m));
     let pairs = (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)));
     let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
-    panel.rule_y(0.0, Stroke::solid(Ink::Text, 1.0));
+    panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
     for (rear, pair) in pairs {
         let line: Vec<path::Place> = pair.gaps_m().filter_map(at).collect();
@@ -215,7 +215,7 @@ fn spacing(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel 
         let text = format!("smallest gap {gap_m:.2} m ({front}\u{2013}{rear}) at {time_s:.2} s");
         strip(&mut panel, time_s, &text, Ink::Muted, right);
     }
-    if tags.len() <= MOST_TAGGED {
+    if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.tags(&tags);
     }
     panel
@@ -231,7 +231,7 @@ fn mark_contacts(
     for (rank, Impact { contact, .. }) in figure.impacts.iter().enumerate() {
         let (text, height) = describe(contact);
         if rank == 0 {
-            panel.rule_x(contact.time_s, Stroke { dash: "3 3", ..Stroke::solid(Ink::Alert, 1.0) });
+            panel.add_vertical_line(contact.time_s, Stroke { dash: "3 3", ..Stroke::solid(Ink::Alert, 1.0) });
             let more = figure.impacts.len() - 1;
             let text = if more == 0 { text } else { format!("{text}; {more} more") };
             strip(panel, contact.time_s, &text, Ink::Alert, right);
@@ -241,16 +241,16 @@ fn mark_contacts(
 }
 
 /// Words between the heading and the frame, centred over an instant as far as there is room.
-fn strip(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
+fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
     let frame = panel.frame();
-    let half = text_width(text, SMALL) / 2.0;
+    let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
     let (x, _) = panel.place((time_s, 0.0));
-    let centre = x.min(right - half).max(frame.left - LEFT + 2.0 + half);
-    panel.overlay(words((centre, frame.top - 7.0), Anchor::Middle, text, SMALL, ink, false));
+    let centre = x.min(right - half).max(frame.left - LEFT_MARGIN + 2.0 + half);
+    panel.overlay(words((centre, frame.top - 7.0), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false));
 }
 
 /// Where to look: the first contact, or else the smallest gap.
-fn focus(figure: &MotionFigure<'_>) -> Option<Focus> {
+fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     if let Some(Impact { contact, .. }) = figure.impacts.first() {
         let &Contact { time_s, front_vehicle: front, rear_vehicle: rear, .. } = contact;
         return Some(Focus { time_s, front, rear, gap_m: 0.0, contact: true });
@@ -270,7 +270,7 @@ fn focus(figure: &MotionFigure<'_>) -> Option<Focus> {
 }
 
 /// The front bumper of the hitting vehicle at the instant of contact.
-fn hit_position_m(trace: &Trace, contact: &Contact) -> f64 {
+fn impact_position_m(trace: &Trace, contact: &Contact) -> f64 {
     let position = |track: &Track| {
         let after = trace.time_s.partition_point(|time_s| *time_s < contact.time_s);
         track.position_m.get(after).or(track.position_m.last()).copied()
@@ -279,11 +279,11 @@ fn hit_position_m(trace: &Trace, contact: &Contact) -> f64 {
 }
 
 /// Samples as points.
-fn points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::Place> {
+fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::Place> {
     time_s.iter().copied().zip(values).collect()
 }
 
-fn pair(contact: &Contact) -> String {
+fn format_pair(contact: &Contact) -> String {
     format!("{}\u{2013}{}", contact.front_vehicle, contact.rear_vehicle)
 }
 

@@ -16,13 +16,13 @@ pub struct MotionAxes {
 impl MotionAxes {
     /// Axes that hold one run.
     #[must_use]
-    pub fn of(trace: &Trace) -> Self {
+    pub fn from_trace(trace: &Trace) -> Self {
         Self::of_all([trace])
     }
 
     /// Axes that hold all of these runs.
     #[must_use]
-    pub fn of_all<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
+    pub fn from_traces<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let traces: Vec<&Trace> = traces.into_iter().collect();
         let tracks = || traces.iter().flat_map(|trace| &trace.vehicles);
         let ends = |track: &Track| {

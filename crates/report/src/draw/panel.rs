@@ -2,11 +2,11 @@
 
 use maud::{Markup, html};
 
-use super::axis::{Axis, LEFT};
+use super::axis::{Axis, LEFT_MARGIN};
 use super::label::{Frame, on_lines, printable, text_width};
 use super::path::{self, Place, Px};
 use super::scale::Scale;
-use super::theme::{Ink, SMALL, Stroke, TEXT};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
 
 /// Height of a tag, in pixels.
 const TAG_HEIGHT: f64 = 14.0;
@@ -60,9 +60,9 @@ pub struct Panel {
     y: Axis,
     x_scale: Scale,
     y_scale: Scale,
-    inside: Vec<Markup>,
-    above: Vec<Markup>,
-    taken: Vec<Frame>,
+    clipped: Vec<Markup>,
+    overlays: Vec<Markup>,
+    occupied: Vec<Frame>,
 }
 
 impl Panel {
@@ -83,18 +83,18 @@ impl Panel {
 
     /// Where a pair of values is drawn, in pixels.
     #[must_use]
-    pub fn place(&self, (x, y): (f64, f64)) -> Place {
+    pub fn to_pixels(&self, (x, y): (f64, f64)) -> Place {
         (self.x_scale.px(x), self.y_scale.px(y))
     }
 
     /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
     #[must_use]
-    pub(crate) fn places(&self, points: &[(f64, f64)]) -> Vec<Place> {
+    pub(crate) fn points_to_pixels(&self, points: &[(f64, f64)]) -> Vec<Place> {
         points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.place(point)).collect()
     }
 
     /// Adds a line through points; a lone point is a dot.
-    pub fn line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
+    pub fn add_line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
         let places = self.places(points);
         let Some((&(x, y), rest)) = places.split_first() else { return };
         let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
@@ -109,31 +109,31 @@ impl Panel {
     }
 
     /// Adds a translucent area between two lines, such as a mean plus and minus a standard deviation.
-    pub(crate) fn band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
+    pub(crate) fn add_band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
         let outline = path::between(&self.places(upper), &self.places(lower));
         self.inside.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
     /// Adds a straight line between two points, such as the whisker of an interval.
-    pub(crate) fn segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
+    pub(crate) fn add_segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
         let (from, to) = (self.place(from), self.place(to));
         self.inside.push(straight(from, to, stroke));
     }
 
     /// Adds a vertical line over the full height.
-    pub(crate) fn rule_x(&mut self, value: f64, stroke: Stroke) {
+    pub(crate) fn add_vertical_line(&mut self, value: f64, stroke: Stroke) {
         let (x, _) = self.place((value, 0.0));
         self.inside.push(straight((x, self.frame.top), (x, self.frame.bottom()), stroke));
     }
 
     /// Adds a horizontal line over the full width.
-    pub fn rule_y(&mut self, value: f64, stroke: Stroke) {
+    pub fn add_horizontal_line(&mut self, value: f64, stroke: Stroke) {
         let (_, y) = self.place((0.0, value));
         self.inside.push(straight((self.frame.left, y), (self.frame.right(), y), stroke));
     }
 
     /// Adds marks; tags keep off them. Marks outside the frame are left out.
-    pub fn marks(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
+    pub fn add_markers(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
         for place in self.places(points) {
             if self.frame.holds(place) {
                 self.taken.push(Frame::around(place, 10.0, 10.0));
@@ -143,32 +143,32 @@ impl Panel {
     }
 
     /// Adds words at a pair of values, on a halo that lifts them off the data; tags keep off them.
-    pub fn note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
+    pub fn add_note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
         let place = self.place(at);
-        let width = text_width(text, SMALL);
+        let width = text_width(text, SMALL_TEXT_SIZE);
         let middle = match anchor {
             Anchor::Start => place.0 + width / 2.0,
             Anchor::Middle => place.0,
             Anchor::End => place.0 - width / 2.0,
         };
-        self.taken.push(Frame::around((middle, place.1), width, SMALL * 1.2));
-        self.above.push(words((place.0, place.1 + SMALL * 0.35), anchor, text, SMALL, ink, true));
+        self.taken.push(Frame::around((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
+        self.above.push(words((place.0, place.1 + SMALL_TEXT_SIZE * 0.35), anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
 
     /// Adds something drawn in pixels to the data, cut off at the frame.
-    pub(crate) fn layer(&mut self, content: Markup) {
+    pub(crate) fn add_clipped(&mut self, content: Markup) {
         self.inside.push(content);
     }
 
     /// Adds something drawn in pixels, above the data.
-    pub fn overlay(&mut self, content: Markup) {
+    pub fn add_overlay(&mut self, content: Markup) {
         self.above.push(content);
     }
 
     /// Adds a tag to each line, where the lines are far apart; a line that runs where there is no room gets none.
     ///
     /// Call this last: tags keep off what is there.
-    pub(crate) fn tags(&mut self, lines: &[TaggedLine]) {
+    pub(crate) fn add_tags(&mut self, lines: &[TaggedLine]) {
         let places: Vec<_> = lines.iter().map(|line| path::simplified(&self.places(&line.points))).collect();
         let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
         let centres = on_lines(&places, &sizes, self.frame, &mut self.taken);
@@ -199,12 +199,12 @@ impl Panel {
 }
 
 /// Height above a panel's frame that its heading takes, and a line of notes below the heading.
-pub const HEADING: f64 = 40.0;
+pub const HEADING_HEIGHT: f64 = 40.0;
 
 /// A panel's title above its frame and its tick labels, with room for a line of notes between.
-fn heading((left, top): Place, title: &str) -> Markup {
+fn draw_heading((left, top): Place, title: &str) -> Markup {
     html! {
-        text x=(Px(left - LEFT)) y=(Px(top - HEADING + 16.0)) font-size=(Px(TEXT)) font-weight="600" fill=(Ink::Text.hex()) {
+        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT)) font-weight="600" fill=(Ink::Text.hex()) {
             (printable(title))
         }
     }
@@ -212,7 +212,7 @@ fn heading((left, top): Place, title: &str) -> Markup {
 
 /// Words at a place on their base line, in pixels; with a halo they can be read over lines.
 #[must_use]
-pub fn words((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
+pub fn draw_text((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
     let anchor = match anchor {
         Anchor::Start => None,
         Anchor::Middle => Some("middle"),
@@ -229,23 +229,23 @@ pub fn words((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, hal
 /// Width of a tag, in pixels.
 #[must_use]
 pub(crate) fn tag_width(text: &str) -> f64 {
-    (text_width(text, SMALL) + 7.0).max(TAG_HEIGHT + 1.0)
+    (text_width(text, SMALL_TEXT_SIZE) + 7.0).max(TAG_HEIGHT + 1.0)
 }
 
 /// A short label in a rounded box around `centre`, in pixels.
 #[must_use]
-pub(crate) fn tag(centre: Place, text: &str, ink: Ink) -> Markup {
+pub(crate) fn draw_tag(centre: Place, text: &str, ink: Ink) -> Markup {
     let Frame { left, top, width, height } = Frame::around(centre, tag_width(text), TAG_HEIGHT);
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) rx=(Px(height / 2.0))
             fill=(Ink::Paper.hex()) stroke=(ink.hex()) stroke-width="1.2" {}
-        (words((centre.0, centre.1 + SMALL * 0.35), Anchor::Middle, text, SMALL, ink, false))
+        (words((centre.0, centre.1 + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false))
     }
 }
 
 /// A straight line between two places, in pixels.
 #[must_use]
-pub(crate) fn straight(from: Place, to: Place, stroke: Stroke) -> Markup {
+pub(crate) fn draw_line(from: Place, to: Place, stroke: Stroke) -> Markup {
     let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
     html! {
         path d=(path::open(&[from, to])) stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
@@ -255,7 +255,7 @@ pub(crate) fn straight(from: Place, to: Place, stroke: Stroke) -> Markup {
 
 /// A mark at a place, in pixels, with a thin halo.
 #[must_use]
-pub fn mark((x, y): Place, marker: Marker, ink: Ink) -> Markup {
+pub fn draw_marker((x, y): Place, marker: Marker, ink: Ink) -> Markup {
     let (paper, ink) = (Ink::Paper.hex(), ink.hex());
     match marker {
         Marker::Disc => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.2" fill=(ink) stroke=(paper) {} },
@@ -271,7 +271,7 @@ pub fn mark((x, y): Place, marker: Marker, ink: Ink) -> Markup {
 }
 
 /// The outline of a star with eight points.
-fn burst(x: f64, y: f64) -> String {
+fn burst_path(x: f64, y: f64) -> String {
     let corner = |index: u32| {
         let radius = if index.is_multiple_of(2) { 7.5 } else { 3.4 };
         let (sin, cos) = (f64::from(index) * std::f64::consts::PI / 8.0).sin_cos();

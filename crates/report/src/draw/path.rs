@@ -9,7 +9,7 @@ const TOLERANCE_PX: f64 = 0.15;
 const COLUMN_PX: f64 = 0.25;
 
 /// A place in the figure, in pixels from its top left corner.
-pub(crate) type Place = (f64, f64);
+pub(crate) type PixelPoint = (f64, f64);
 
 /// A number of pixels, written with one decimal at most.
 #[derive(Debug, Clone, Copy)]
@@ -32,19 +32,19 @@ impl maud::Render for Px {
 }
 
 /// Path data of an open line through `points`, simplified.
-pub(super) fn open(points: &[Place]) -> String {
+pub(super) fn polyline_data(points: &[PixelPoint]) -> String {
     data(&simplified(points))
 }
 
 /// Path data of the area between two lines, simplified.
-pub(super) fn between(upper: &[Place], lower: &[Place]) -> String {
+pub(super) fn area_data(upper: &[PixelPoint], lower: &[PixelPoint]) -> String {
     let mut outline = simplified(upper);
     outline.extend(simplified(lower).into_iter().rev());
     data(&outline) + "Z"
 }
 
 /// After `M`, pairs that follow the first are lines to them.
-fn data(points: &[Place]) -> String {
+fn path_data(points: &[PixelPoint]) -> String {
     let mut text = String::with_capacity(points.len() * 12);
     for (index, (x, y)) in points.iter().enumerate() {
         text.push_str(if index == 0 { "M" } else { " " });
@@ -57,23 +57,23 @@ fn data(points: &[Place]) -> String {
 ///
 /// Non-finite points are left out.
 #[must_use]
-pub(crate) fn simplified(points: &[Place]) -> Vec<Place> {
-    let finite: Vec<Place> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+pub(crate) fn simplify(points: &[PixelPoint]) -> Vec<PixelPoint> {
+    let finite: Vec<PixelPoint> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     straightened(&columns(&finite))
 }
 
 /// First, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014): bounds the work for
 /// long recordings and loses no spike. Lines that turn back in x are left as they are.
-fn columns(points: &[Place]) -> Vec<Place> {
+fn decimate_columns(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let forward = points.windows(2).all(|pair| matches!(pair, [a, b] if a.0 <= b.0));
     if !forward {
         return points.to_vec();
     }
     let mut kept = Vec::new();
     for column in points.chunk_by(|a, b| (a.0 / COLUMN_PX).floor() == (b.0 / COLUMN_PX).floor()) {
-        let by_height = |a: &&Place, b: &&Place| a.1.total_cmp(&b.1);
+        let by_height = |a: &&PixelPoint, b: &&PixelPoint| a.1.total_cmp(&b.1);
         let ends = [column.first(), column.iter().min_by(by_height), column.iter().max_by(by_height), column.last()];
-        let mut chosen: Vec<Place> = ends.into_iter().flatten().copied().collect();
+        let mut chosen: Vec<PixelPoint> = ends.into_iter().flatten().copied().collect();
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         chosen.dedup();
         kept.extend(chosen);
@@ -82,7 +82,7 @@ fn columns(points: &[Place]) -> Vec<Place> {
 }
 
 /// Ramer (1972), Douglas and Peucker (1973), with a stack of its own in place of recursion.
-fn straightened(points: &[Place]) -> Vec<Place> {
+fn douglas_peucker(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let Some(last) = points.len().checked_sub(1) else { return Vec::new() };
     let mut keep = vec![false; points.len()];
     let mut stack = vec![(0, last)];
@@ -108,7 +108,7 @@ fn straightened(points: &[Place]) -> Vec<Place> {
 }
 
 /// Distance from a point to a segment.
-fn distance(point: Place, start: Place, end: Place) -> f64 {
+fn distance(point: PixelPoint, start: PixelPoint, end: PixelPoint) -> f64 {
     let (dx, dy) = (end.0 - start.0, end.1 - start.1);
     let (px, py) = (point.0 - start.0, point.1 - start.1);
     let squared = dx * dx + dy * dy;
@@ -127,7 +127,7 @@ mod tests {
             heights in proptest::collection::vec(0.0..200.0f64, 1..400), width in 1.0..500.0f64,
         ) {
             let last = heights.len() as f64;
-            let points: Vec<Place> =
+            let points: Vec<PixelPoint> =
                 heights.iter().enumerate().map(|(i, &y)| (i as f64 / last * width, y)).collect();
             let kept = simplified(&points);
             prop_assert_eq!(kept.first(), points.first());
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_long_straight_line_needs_two_points() {
-        let points: Vec<Place> = (0..1500).map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0)).collect();
+        let points: Vec<PixelPoint> = (0..1500).map(|i| (f64::from(i) / 3.0, f64::from(i) / 7.0)).collect();
         assert_eq!(simplified(&points).len(), 2);
         assert_eq!(open(&[(0.0, -0.04), (10.0, 2.25), (f64::NAN, 0.0)]), "M0 0 10 2.3");
         assert_eq!(open(&[]), "");

@@ -7,7 +7,7 @@ use resvg::{tiny_skia, usvg};
 use super::theme::Ink;
 
 /// The most pixels a picture may have: 16 thousand squared.
-const MOST_PIXELS: f64 = 268_435_456.0;
+const MAX_PIXELS: f64 = 268_435_456.0;
 
 /// Why a figure could not be made into a PNG.
 #[derive(Debug, thiserror::Error)]
@@ -17,7 +17,7 @@ pub enum DrawError {
     #[error("the figure is not valid SVG: {0}")]
     Svg(#[from] usvg::Error),
     /// The picture would be empty or too large.
-    #[error("a picture of {width} by {height} pixels cannot be made: from 1 pixel to {limit} are possible", limit = MOST_PIXELS)]
+    #[error("a picture of {width} by {height} pixels cannot be made: from 1 pixel to {limit} are possible", limit = MAX_PIXELS)]
     Size {
         /// Width in pixels.
         width: f64,
@@ -37,7 +37,7 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
     let (width, height) = (f64::from(tree.size().width()) * scale, f64::from(tree.size().height()) * scale);
     let wrong_size = DrawError::Size { width: width.round(), height: height.round() };
     // Written so that NaN is refused too.
-    if !(width >= 0.5 && height >= 0.5 && width * height <= MOST_PIXELS) {
+    if !(width >= 0.5 && height >= 0.5 && width * height <= MAX_PIXELS) {
         return Err(wrong_size);
     }
     let (columns, rows) = (width.round() as u32, height.round() as u32);
@@ -48,13 +48,13 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
 }
 
 /// Parser options that know exactly one font, whatever the figure asks for.
-pub(super) fn options() -> usvg::Options<'static> {
+pub(super) fn usvg_options() -> usvg::Options<'static> {
     let fonts = fonts();
     let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
     usvg::Options { fontdb: fonts, font_family: family.unwrap_or_default(), ..usvg::Options::default() }
 }
 
-fn fonts() -> Arc<usvg::fontdb::Database> {
+fn font_database() -> Arc<usvg::fontdb::Database> {
     static FONTS: OnceLock<Arc<usvg::fontdb::Database>> = OnceLock::new();
     let load = || {
         let mut fonts = usvg::fontdb::Database::new();

@@ -1,19 +1,19 @@
 //! From numbers to pixels, and the round numbers to write beside an axis.
 
 /// Axes end here, in any unit: it keeps every difference finite.
-const LARGEST: f64 = 1e12;
+const MAX_VALUE: f64 = 1e12;
 
 /// Pixels beyond this are far outside any figure.
-const FARTHEST_PX: f64 = 1e5;
+const MAX_PX: f64 = 1e5;
 
 /// A linear map from an interval of values to an interval of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Scale {
+pub(crate) struct LinearScale {
     domain: (f64, f64),
     range: (f64, f64),
 }
 
-impl Scale {
+impl LinearScale {
     /// Maps `domain.0` to `range.0` and `domain.1` to `range.1`.
     ///
     /// A domain that is empty, reversed or not finite becomes one that can be drawn, see [`drawable`].
@@ -24,22 +24,22 @@ impl Scale {
 
     /// Where `value` is drawn, in pixels; NaN is drawn at the start.
     #[must_use]
-    pub(crate) fn px(&self, value: f64) -> f64 {
+    pub(crate) fn to_px(&self, value: f64) -> f64 {
         let value = if value.is_nan() { self.domain.0 } else { value };
         let share = (value - self.domain.0) / (self.domain.1 - self.domain.0);
         let px = self.range.0 + share * (self.range.1 - self.range.0);
-        px.clamp(-FARTHEST_PX, FARTHEST_PX)
+        px.clamp(-MAX_PX, MAX_PX)
     }
 }
 
 /// The number itself if it can be drawn, else the nearest that can; 0 for NaN.
-fn bounded(value: f64) -> f64 {
-    if value.is_nan() { 0.0 } else { value.clamp(-LARGEST, LARGEST) }
+fn clamp_finite(value: f64) -> f64 {
+    if value.is_nan() { 0.0 } else { value.clamp(-MAX_VALUE, MAX_VALUE) }
 }
 
 /// An interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
-pub(crate) fn drawable(domain: (f64, f64)) -> (f64, f64) {
+pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
     let (one, other) = (bounded(domain.0), bounded(domain.1));
     let (low, high) = (one.min(other), one.max(other));
     let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
@@ -60,7 +60,7 @@ pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
 
 /// The interval with `share` of its width added at each end.
 #[must_use]
-pub fn padded(domain: (f64, f64), share: f64) -> (f64, f64) {
+pub fn pad_interval(domain: (f64, f64), share: f64) -> (f64, f64) {
     let (low, high) = drawable(domain);
     let pad = share * (high - low);
     (low - pad, high + pad)
@@ -78,7 +78,7 @@ pub(crate) struct Ticks {
 impl Ticks {
     /// The closest-spaced round numbers of which at most `most` (taken as 5 to 10) lie in `domain`; always 2 at least.
     #[must_use]
-    pub(crate) fn within(domain: (f64, f64), most: usize) -> Self {
+    pub(crate) fn new(domain: (f64, f64), most: usize) -> Self {
         let (low, high) = drawable(domain);
         let most = most.clamp(5, 10);
         // Neighbouring steps differ by a factor of at most 2.5: the first that fits under `most` leaves two or more.
@@ -106,14 +106,14 @@ impl Ticks {
     }
 
     /// Each number with its label.
-    pub(crate) fn labelled(&self) -> impl Iterator<Item = (f64, String)> + '_ {
+    pub(crate) fn labels(&self) -> impl Iterator<Item = (f64, String)> + '_ {
         self.values.iter().map(|&value| (value, signed(value, self.decimals)))
     }
 }
 
 /// A number with a true minus sign, and none on zero.
 #[must_use]
-pub fn signed(value: f64, decimals: usize) -> String {
+pub fn format_number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
         Some(digits) if digits.contains(|c: char| ('1'..='9').contains(&c)) => format!("\u{2212}{digits}"),
@@ -148,7 +148,7 @@ mod tests {
 
         #[test]
         fn any_interval_can_be_drawn(low in ANY_NUMBER, high in ANY_NUMBER, value in ANY_NUMBER) {
-            let scale = Scale::new((low, high), (10.0, 110.0));
+            let scale = LinearScale::new((low, high), (10.0, 110.0));
             prop_assert!(scale.px(value).is_finite());
             prop_assert!((scale.px(scale.domain.0) - 10.0).abs() < 1e-9);
             prop_assert!((scale.px(scale.domain.1) - 110.0).abs() < 1e-9);

@@ -15,7 +15,7 @@ use crumple_world::sim::{AfterContact, Contact, Impact, RecordingLevel, Run, Run
 ///
 /// Behind the leader they brake fully below a time to collision of `ttc_s`, or, without one, as the leader does and 0.1 s
 /// after the vehicle ahead.
-fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
+fn simulate_line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Trace, Vec<Impact>) {
     let scenario = built_in("paper-1").unwrap().edited(|spec| {
         let mut position_m = 36.0;
         let vehicle = |(rank, &heavy): (usize, &bool)| {
@@ -39,25 +39,25 @@ fn line(heavy: &[bool], ttc_s: Option<f64>, after_contact: AfterContact) -> (Tra
 
 const LAYOUTS: [Layout; 3] = [Layout::Wide, Layout::Stacked, Layout::Column];
 
-fn names(count: usize) -> Vec<String> {
+fn vehicle_labels(count: usize) -> Vec<String> {
     (0..count).map(|index| format!("vehicle of rank {index} <&>\u{7}")).collect()
 }
 
-fn drawn(trace: &Trace, impacts: &[Impact], layout: Layout) -> Svg {
+fn draw_figure(trace: &Trace, impacts: &[Impact], layout: Layout) -> Svg {
     let labels = names(trace.vehicles.len());
     let title = "Scenario 1 & others <with a long title>, vehicles stick together";
     motion(&MotionFigure { prefix: "fig", title, labels: &labels, trace, impacts }, layout)
 }
 
-fn tree(svg: &Svg) -> usvg::Tree {
+fn parse_tree(svg: &Svg) -> usvg::Tree {
     usvg::Tree::from_str(&svg.document(), &png::options()).expect("valid SVG")
 }
 
 /// The boxes of all words of a figure, each with its words.
-fn word_boxes(group: &usvg::Group, found: &mut Vec<(String, Frame)>) {
+fn collect_text_boxes(group: &usvg::ProcessGroup, found: &mut Vec<(String, Frame)>) {
     for node in group.children() {
         match node {
-            usvg::Node::Group(group) => word_boxes(group, found),
+            usvg::Node::ProcessGroup(group) => collect_text_boxes(group, found),
             usvg::Node::Text(text) => {
                 let area = text.abs_bounding_box();
                 let [left, top, width, height] = [area.left(), area.top(), area.width(), area.height()].map(f64::from);
@@ -92,7 +92,7 @@ proptest! {
         let (trace, impacts) = line(&heavy, ttc_s, after_contact);
         let svg = drawn(&trace, &impacts, layout);
         let mut words = Vec::new();
-        word_boxes(tree(&svg).root(), &mut words);
+        collect_text_boxes(tree(&svg).root(), &mut words);
         prop_assert!(words.len() > 20);
         let (width, height) = svg.size();
         let whole = Frame { left: 0.0, top: 0.0, width, height };

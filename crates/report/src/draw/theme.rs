@@ -5,18 +5,18 @@ use maud::{Markup, html};
 use super::path::Px;
 
 /// Fonts asked for, best first. The page decides; the layout allows for the widest of them.
-pub(super) const FONTS: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
+pub(super) const FONT_FAMILY: &str = "system-ui, 'Segoe UI', Roboto, Ubuntu, 'Helvetica Neue', Arial, sans-serif";
 
 /// Size of ordinary text, in the figure's own units (CSS pixels at full size).
-pub(crate) const TEXT: f64 = 12.0;
+pub(crate) const TEXT_SIZE: f64 = 12.0;
 
 /// Size of tick labels, tags and notes.
-pub const SMALL: f64 = 11.0;
+pub const SMALL_TEXT_SIZE: f64 = 11.0;
 
 /// Number of different series colours, after which they repeat.
 ///
-/// It shares no factor with [`DASHES`], so colour and dash together tell [`COLOURS`] × `DASHES.len()` series apart.
-pub(crate) const COLOURS: usize = 5;
+/// It shares no factor with [`DASHES`], so colour and dash together tell [`SERIES_COLOUR_COUNT`] × `DASHES.len()` series apart.
+pub(crate) const SERIES_COLOUR_COUNT: usize = 5;
 
 /// Dash patterns, solid first; a series keeps its pattern in every panel.
 pub(crate) const DASHES: [&str; 4] = ["", "8 3.5", "2.2 2.6", "9 3 2.2 3"];
@@ -40,7 +40,7 @@ pub enum Ink {
     Paper,
     /// Contact and failure. Never the only carrier of that meaning: a mark or a word goes with it.
     Alert,
-    /// The `n`-th series; colours repeat after `COLOURS`.
+    /// The `n`-th series; colours repeat after `SERIES_COLOUR_COUNT`.
     Series(usize),
 }
 
@@ -58,7 +58,7 @@ impl Ink {
             Self::Grid => "#e4e7eb",
             Self::Paper => "#ffffff",
             Self::Alert => "#b3001b",
-            Self::Series(index) => match index % COLOURS {
+            Self::Series(index) => match index % SERIES_COLOUR_COUNT {
                 0 => "#0067a3",
                 1 => "#b84a00",
                 2 => "#007355",
@@ -95,12 +95,12 @@ impl Stroke {
 }
 
 /// The dash pattern of the `index`-th series.
-fn dash(index: usize) -> &'static str {
+fn series_dash(index: usize) -> &'static str {
     DASHES.get(index % DASHES.len()).copied().unwrap_or_default()
 }
 
 /// A sample of the line of a series, for keys.
-pub(super) fn swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
+pub(super) fn draw_swatch(index: usize, x: f64, y: f64, width: f64) -> Markup {
     let Stroke { ink, width: stroke_width, dash } = Stroke::series(index);
     let dash = (!dash.is_empty()).then_some(dash);
     html! {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     /// The value of a variable in the dark block.
-    fn dark(variable: &str) -> &'static str {
+    fn dark_value(variable: &str) -> &'static str {
         let block = STYLE.split("prefers-color-scheme:dark").nth(1).expect("a dark block");
         let value = block.split(variable).nth(1).expect("in the dark block");
         &value[1..8]

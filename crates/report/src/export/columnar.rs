@@ -23,7 +23,7 @@ const SCHEMA: &str = "message trace {
 ///
 /// # Errors
 /// [`ExportError::Parquet`] if the encoder fails, which writing to memory does not.
-pub fn parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
+pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let rows = rows(trace);
     let doubles: [fn(&Row) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
     let schema = Arc::new(parse_message_type(SCHEMA)?);

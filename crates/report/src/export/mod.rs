@@ -27,7 +27,7 @@ pub enum ExportError {
     Parquet(#[from] ::parquet::errors::ParquetError),
 }
 
-struct Row {
+struct TraceRow {
     time_s: f64,
     vehicle: i32,
     position_m: f64,
@@ -36,13 +36,13 @@ struct Row {
     gap_m: Option<f64>,
 }
 
-fn rows(trace: &Trace) -> Vec<Row> {
+fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
     let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len()).map(|rear| trace.gaps_m(rear)).collect();
     let mut rows = Vec::with_capacity(trace.len() * trace.vehicles.len());
     for (sample, &time_s) in trace.time_s.iter().enumerate() {
         for (vehicle, (track, gaps_m)) in trace.vehicles.iter().zip(&gaps_m).enumerate() {
             let at = |column: &[f64]| column.get(sample).copied().unwrap_or(f64::NAN);
-            rows.push(Row {
+            rows.push(TraceRow {
                 time_s,
                 vehicle: vehicle as i32,
                 position_m: at(&track.position_m),
@@ -59,7 +59,7 @@ fn rows(trace: &Trace) -> Vec<Row> {
 ///
 /// # Errors
 /// [`ExportError::Csv`] if the encoder fails, which writing to memory does not.
-pub fn csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
+pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS)?;
     for row in rows(trace) {

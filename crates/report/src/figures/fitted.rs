@@ -2,33 +2,33 @@
 
 use maud::html;
 
-use crate::draw::{Anchor, Axis, BELOW, Frame, HEADING, Ink, LEFT, Panel, Stroke, Svg, padded};
-use crumple_evidence::fit::{Fitted, FittedNumber, shown_p};
+use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, padded};
+use crumple_evidence::fit::{FittedSpace, FittedNumber, shown_p};
 
 /// Size of a panel, in pixels, and what lies between two of them.
-const PANEL: (f64, f64) = (340.0, 200.0);
-const BETWEEN: f64 = LEFT + 36.0;
+const PANEL_SIZE: (f64, f64) = (340.0, 200.0);
+const PANEL_SPACING: f64 = LEFT_MARGIN + 36.0;
 /// Points of a fitted distribution function.
-const POINTS: usize = 160;
+const CURVE_POINTS: usize = 160;
 
 /// A panel for each number: the shares of what was observed, in steps, and the distribution fitted to it.
 #[must_use]
-pub fn fitted(fitted: &Fitted) -> Svg {
-    let step = (PANEL.0 + BETWEEN, PANEL.1 + HEADING + BELOW);
+pub fn draw_fit(fitted: &FittedSpace) -> Svg {
+    let step = (PANEL.0 + BETWEEN, PANEL.1 + HEADING_HEIGHT + BOTTOM_MARGIN);
     let panels = fitted.numbers.iter().enumerate().map(|(index, number)| {
         let (row, column) = (index / 2, index % 2);
-        let (left, top) = (LEFT + 24.0 + column as f64 * step.0, HEADING + row as f64 * step.1);
+        let (left, top) = (LEFT_MARGIN + 24.0 + column as f64 * step.0, HEADING_HEIGHT + row as f64 * step.1);
         let frame = Frame { left, top, width: PANEL.0, height: PANEL.1 };
         panel(number, frame).draw(&Svg::id("fitted", &number.name))
     });
     let panels: Vec<_> = panels.collect();
     let rows = panels.len().div_ceil(2) as f64;
-    let size = (LEFT + 24.0 + 2.0 * PANEL.0 + BETWEEN + 24.0, rows * step.1);
+    let size = (LEFT_MARGIN + 24.0 + 2.0 * PANEL.0 + BETWEEN + 24.0, rows * step.1);
     let description = "Shares at most so large: steps are what was observed, lines what was fitted.";
     Svg::new("fitted", size, fitted.space.name(), description, html! { @for panel in &panels { (panel) } })
 }
 
-fn panel(number: &FittedNumber, frame: Frame) -> Panel {
+fn fit_panel(number: &FittedNumber, frame: Frame) -> Panel {
     let point = number.point_mass.map(|point| point.at);
     let (smallest, largest) = (number.tails.smallest, number.tails.largest);
     let (low, high) =
@@ -44,7 +44,7 @@ fn panel(number: &FittedNumber, frame: Frame) -> Panel {
     steps.push((high, 1.0));
     panel.line(&steps, Stroke::series(1));
     if let Ok(ready) = number.distribution.ready() {
-        let even = (0..=POINTS).map(|point| low + (high - low) * point as f64 / POINTS as f64);
+        let even = (0..=CURVE_POINTS).map(|point| low + (high - low) * point as f64 / CURVE_POINTS as f64);
         // A step where a value has a probability of its own.
         let mut at: Vec<f64> = even.chain(point.into_iter().flat_map(|at| [at.next_down(), at])).collect();
         at.sort_by(f64::total_cmp);

@@ -1,13 +1,13 @@
 //! Result of a suite in the form that build servers read.
 
-use super::words::{least_margins, verdict, within_in_words};
+use super::description::{least_margins, verdict, within_in_words};
 use crate::junit::{self, Case, Status, Suite};
 use crumple_suites::{SuiteResult, TestResult, TestVerdict, Tested};
 
 /// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
 /// cannot run is skipped.
 #[must_use]
-pub fn xml(result: &SuiteResult) -> String {
+pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {
         let document = format!("{}, {}", result.document, result.edition);
         let tests = clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| case(test, tested)));
@@ -20,7 +20,7 @@ pub fn xml(result: &SuiteResult) -> String {
     junit::xml("crumple suite", &suites.collect::<Vec<_>>())
 }
 
-fn case(test: &TestResult, tested: &Tested) -> Case {
+fn junit_case(test: &TestResult, tested: &Tested) -> Case {
     let within = tested.within.as_ref().filter(|within| within.verdict.is_failure());
     Case {
         name: format!("{}: {}", test.name, tested.controller),

@@ -10,11 +10,11 @@ use crumple_core::quoted::{Lines, Terminal};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
 /// What no source at hand states.
-const PUBLISHED: &str =
+const NO_PUBLISHED_COUNTS: &str =
     "No counts of published maps could be read, so none are compared: the lines of closed forms and stated points are.";
 
 /// What of a cell is shown, and the letter for it.
-pub(super) fn letter(cell: &CrashCell) -> char {
+pub(super) fn cell_letter(cell: &CrashCell) -> char {
     match cell.verdict {
         _ if cell.is_without_reaction() => '~',
         TestVerdict::Passed => '.',
@@ -25,7 +25,7 @@ pub(super) fn letter(cell: &CrashCell) -> char {
 }
 
 /// What letters mean, in the order of keys.
-pub(super) const LETTERS: [(char, &str); 5] = [
+pub(super) const LEGEND: [(char, &str); 5] = [
     ('.', "no contact"),
     ('x', "contact"),
     ('~', "contact, never braked"),
@@ -33,19 +33,19 @@ pub(super) const LETTERS: [(char, &str); 5] = [
     ('-', "cannot be run"),
 ];
 
-impl Told<'_> {
+impl PanelSummary<'_> {
     fn count(&self, letter_of: char) -> usize {
         self.0.cells.iter().filter(|cell| letter(cell) == letter_of).count()
     }
 
     /// What came of a driver, in a line.
-    fn words(&self) -> String {
+    fn describe(&self) -> String {
         let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = self.0;
         let mut words = format!("contact in {contacts} of {} cells", cells.len());
         if *without_reaction > 0 {
             words += &format!(" ({without_reaction} without having braked)");
         }
-        for (letter, what) in LETTERS.iter().skip(3) {
+        for (letter, what) in LEGEND.iter().skip(3) {
             let count = self.count(*letter);
             if count > 0 {
                 words += &format!(", {what} in {count}");
@@ -59,16 +59,16 @@ impl Told<'_> {
 }
 
 /// A panel, to be told of.
-struct Told<'m>(&'m MapPanel);
+struct PanelSummary<'m>(&'m MapPanel);
 
 /// The name that a panel goes by.
-pub(super) fn heading(panel: &MapPanel) -> String {
+pub(super) fn panel_title(panel: &MapPanel) -> String {
     if panel.is_reference { format!("reference: {}", panel.driver) } else { panel.driver.clone() }
 }
 
 /// A map for a terminal: a letter a cell, the highest row first.
 #[must_use]
-pub fn map_text(map: &CrashMap) -> String {
+pub fn render_map_text(map: &CrashMap) -> String {
     let CrashMap { situation, across, up, .. } = map;
     let mut out = String::new();
     // Writing to a string cannot fail.
@@ -77,13 +77,13 @@ pub fn map_text(map: &CrashMap) -> String {
     for (name, axis) in [("across", across), ("up", up)] {
         let _ = writeln!(out, "  {name}: {}, {} to {}, {} cells", axis.title, axis.low, axis.high, axis.cells);
     }
-    let meanings: Vec<_> = LETTERS.iter().map(|(letter, what)| format!("{letter} {what}")).collect();
+    let meanings: Vec<_> = LEGEND.iter().map(|(letter, what)| format!("{letter} {what}")).collect();
     let _ = writeln!(out, "  {}", meanings.join(", "));
     for line in &map.boundaries {
         let _ = writeln!(out, "  {}", line.words);
     }
     for panel in &map.panels {
-        let _ = writeln!(out, "\n{}: {}", Terminal(&heading(panel)), Told(panel).words());
+        let _ = writeln!(out, "\n{}: {}", Terminal(&heading(panel)), PanelSummary(panel).words());
         for row in panel.cells.chunks(across.cells.max(1)).rev() {
             let row: String = row.iter().map(letter).collect();
             let _ = writeln!(out, "  {row}");
@@ -95,7 +95,7 @@ pub fn map_text(map: &CrashMap) -> String {
 
 /// A map as one page that needs nothing else.
 #[must_use]
-pub fn map_html(map: &CrashMap) -> String {
+pub fn render_map_html(map: &CrashMap) -> String {
     let title = format!("Crash map: {}", map.situation.name());
     let page: Markup = html! {
         (DOCTYPE)
@@ -112,10 +112,10 @@ pub fn map_html(map: &CrashMap) -> String {
                     figure { (map_figure::responsive(map)) }
                     div.scroll tabindex="0" { table {
                         thead { tr { th scope="col" { "driver" } th scope="col" { "what came of it" } } }
-                        tbody { @for panel in &map.panels { tr { th scope="row" { (heading(panel)) } td { (Told(panel).words()) } } } }
+                        tbody { @for panel in &map.panels { tr { th scope="row" { (heading(panel)) } td { (PanelSummary(panel).words()) } } } }
                     } }
                     ul { @for line in &map.boundaries { li { (line.words) } } }
-                    p { "Every cell is the scenario at its middle, run once for every driver. " (PUBLISHED) }
+                    p { "Every cell is the scenario at its middle, run once for every driver. " (NO_PUBLISHED_COUNTS) }
                 }
                 footer.statement { (map.statement) }
             }

@@ -2,15 +2,15 @@
 
 use maud::{Markup, html};
 
-use super::map::{LETTERS, heading, letter};
+use super::map::{LEGEND, heading, letter};
 use crate::draw::{
-    self, Anchor, Axis, BELOW, CellLook, Frame, HEADING, Ink, KeyEntry, LEFT, Marker, Panel, SMALL, Stroke, Svg,
+    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, Frame, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg,
     grid_frames, words,
 };
 use crumple_suites::{Boundary, CrashMap, MapAxis, MapPanel};
 
 /// Both arrangements, of which the page shows the one that fits.
-pub(super) fn responsive(map: &CrashMap) -> Markup {
+pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
     html! {
         div.draw-wide { (draw(map, "map-wide", 960.0, columns(map))) }
         div.draw-narrow { (draw(map, "map-narrow", 360.0, 1)) }
@@ -19,25 +19,25 @@ pub(super) fn responsive(map: &CrashMap) -> Markup {
 
 /// A map as a figure by itself.
 #[must_use]
-pub fn map_figure(map: &CrashMap) -> Svg {
+pub fn draw_map(map: &CrashMap) -> Svg {
     draw(map, "map", 960.0, columns(map))
 }
 
-fn columns(map: &CrashMap) -> usize {
+fn column_count(map: &CrashMap) -> usize {
     map.panels.len().clamp(1, 3)
 }
 
-fn look(letter: char) -> CellLook {
+fn cell_style(letter: char) -> CellStyle {
     match letter {
-        'x' => CellLook::Crossed,
-        '!' => CellLook::Lettered("!"),
-        '~' => CellLook::Hatched,
-        '-' => CellLook::Lettered("–"),
-        _ => CellLook::Blank,
+        'x' => CellStyle::Crossed,
+        '!' => CellStyle::Lettered("!"),
+        '~' => CellStyle::Hatched,
+        '-' => CellStyle::Lettered("–"),
+        _ => CellStyle::Blank,
     }
 }
 
-fn line(boundary: &Boundary) -> Stroke {
+fn boundary_stroke(boundary: &Boundary) -> Stroke {
     match boundary.driver {
         None => Stroke::solid(Ink::Text, 2.4),
         Some(_) => Stroke { dash: "6 3", ..Stroke::solid(Ink::Series(0), 1.8) },
@@ -47,11 +47,11 @@ fn line(boundary: &Boundary) -> Stroke {
 fn draw(map: &CrashMap, prefix: &str, width: f64, columns: usize) -> Svg {
     let (key, key_height) = key(map, width);
     let column_width = width / columns as f64;
-    let plot = (column_width - LEFT - 18.0, 0.8 * (column_width - LEFT - 18.0));
-    let row_height = HEADING + plot.1 + BELOW;
+    let plot = (column_width - LEFT_MARGIN - 18.0, 0.8 * (column_width - LEFT_MARGIN - 18.0));
+    let row_height = HEADING_HEIGHT + plot.1 + BOTTOM_MARGIN;
     let placed = |(index, panel): (usize, &MapPanel)| {
         let (column, row) = (index % columns, index / columns);
-        let (left, top) = (column as f64 * column_width + LEFT, key_height + row as f64 * row_height + HEADING);
+        let (left, top) = (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
         let frame = Frame { left, top, width: plot.0, height: plot.1 };
         self::panel(map, panel, frame).draw(&Svg::id(prefix, &index.to_string()))
     };
@@ -62,16 +62,16 @@ fn draw(map: &CrashMap, prefix: &str, width: f64, columns: usize) -> Svg {
     Svg::new(prefix, (width, height), &title, description, content)
 }
 
-fn panel(map: &CrashMap, shown: &MapPanel, frame: Frame) -> Panel {
+fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: Frame) -> Panel {
     let axis = |of: &MapAxis, title: &str| Axis::numbers(title, (of.low, of.high), 6);
     let mut panel = Panel::new(frame, &heading(shown), axis(&map.across, map.across.title), axis(&map.up, ""));
-    let above = (frame.left - LEFT, frame.top - 8.0);
-    panel.overlay(words(above, Anchor::Start, map.up.title, SMALL, Ink::Muted, false));
+    let above = (frame.left - LEFT_MARGIN, frame.top - 8.0);
+    panel.overlay(words(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
     let (columns, rows) = (map.across.cells, map.up.cells);
     // Cells come row by row from the bottom, frames from the top.
     let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(letter);
     let cells: Vec<(char, Frame)> = from_top.zip(grid_frames(frame, columns, rows)).collect();
-    for (kind, _) in LETTERS {
+    for (kind, _) in LEGEND {
         let of_kind = cells.iter().filter(|(letter, _)| *letter == kind).map(|(_, frame)| *frame);
         panel.layer(draw::cells(look(kind), of_kind));
     }
@@ -85,13 +85,13 @@ fn panel(map: &CrashMap, shown: &MapPanel, frame: Frame) -> Panel {
 }
 
 /// What is drawn, and the height that this takes. What does not occur is left out.
-fn key(map: &CrashMap, width: f64) -> (Markup, f64) {
+fn draw_legend(map: &CrashMap, width: f64) -> (Markup, f64) {
     let occurs = |kind: char| map.panels.iter().flat_map(|panel| &panel.cells).any(|cell| letter(cell) == kind);
-    let kinds = LETTERS.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| KeyEntry::Cell(look(*kind), what));
-    let lines = map.boundaries.iter().map(|one| KeyEntry::Line(line(one), &one.words));
-    let mut entries: Vec<KeyEntry<'_>> = kinds.chain(lines).collect();
+    let kinds = LEGEND.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| LegendEntry::Cell(look(*kind), what));
+    let lines = map.boundaries.iter().map(|one| LegendEntry::Line(line(one), &one.words));
+    let mut entries: Vec<LegendEntry<'_>> = kinds.chain(lines).collect();
     if !map.stated.is_empty() {
-        entries.push(KeyEntry::Mark(Marker::Disc, "AFGBV: contact has to be avoided above"));
+        entries.push(LegendEntry::Mark(Marker::Disc, "AFGBV: contact has to be avoided above"));
     }
     draw::key(&entries, width)
 }

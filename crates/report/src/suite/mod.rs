@@ -5,7 +5,7 @@ mod map;
 mod map_figure;
 mod page;
 mod table;
-mod words;
+mod description;
 
 use std::fmt::Write;
 
@@ -17,13 +17,13 @@ pub use map::{map_html, map_text};
 pub use map_figure::map_figure;
 pub use page::html;
 pub use table::table;
-use words::headline;
-pub(crate) use words::{least_margins, preventable, verdict, within_in_words};
+use description::headline;
+pub(crate) use description::{least_margins, preventable, verdict, within_in_words};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
 /// shows a failure of a controller; none where its scenario was not written.
 #[must_use]
-pub fn text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Option<String>) -> String {
+pub fn render_text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Option<String>) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
     let _ = writeln!(out, "{}: {}, {}", result.suite, result.document, result.edition);
@@ -50,7 +50,7 @@ fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Te
     let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
     let _ = writeln!(out, "  {}{chosen}", test.name);
     if let Some(limit) = &test.impact_at_most {
-        let _ = writeln!(out, "    {}", words::allowed(limit));
+        let _ = writeln!(out, "    {}", description::allowed(limit));
     }
     for tested in &test.controllers {
         let points =

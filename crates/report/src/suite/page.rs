@@ -2,30 +2,30 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::words::{allowed, headline, least_margins, prevention, verdict, within_in_words};
+use super::description::{allowed, headline, least_margins, prevention, verdict, within_in_words};
 use crate::PAGE_STYLE;
 use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
-use crate::units::without_breaks_before_units;
+use crate::units::insert_nbsp_before_units;
 use crumple_core::quoted::Lines;
 use crumple_suites::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-const OWN_STYLE: &str = include_str!("page.css");
+const SUITE_STYLE: &str = include_str!("page.css");
 
 /// Of so many failures of a test and a controller, those with the fastest impacts, there is a drawing.
-const MOST_DRAWN: usize = 2;
+const MAX_FIGURES: usize = 2;
 
 /// A run of a suite as a page. `controllers` drive once more where something failed, for the drawings; `replay` is the command
 /// that shows a failure, none where its scenario was not written.
 #[must_use]
-pub fn html(
+pub fn render_html(
     result: &SuiteResult,
     controllers: &[NamedController],
     replay: impl Fn(&Failed, &Tested) -> Option<String>,
 ) -> String {
     let page = Page { result, controllers, replay: &replay };
-    without_breaks_before_units(&Lines(&page.document().into_string()).to_string())
+    insert_nbsp_before_units(&Lines(&page.document().into_string()).to_string())
 }
 
 struct Page<'a> {
@@ -35,7 +35,7 @@ struct Page<'a> {
 }
 
 impl Page<'_> {
-    fn document(&self) -> Markup {
+    fn to_markup(&self) -> Markup {
         let SuiteResult { statement, suite, document, edition, figures_from, clauses, .. } = self.result;
         let title = format!("{suite}: {document}");
         html! {
@@ -170,7 +170,7 @@ impl Page<'_> {
         }
     }
 
-    fn outside(&self) -> Markup {
+    fn limitations(&self) -> Markup {
         html! {
             @for (title, list) in [("Outside the model", &self.result.outside), ("Left out", &self.result.left_out)] {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
@@ -181,19 +181,19 @@ impl Page<'_> {
     }
 }
 
-pub(super) fn head(title: &str) -> Markup {
+pub(super) fn html_head(title: &str) -> Markup {
     html! {
         head {
             meta charset="utf-8";
             meta name="viewport" content="width=device-width, initial-scale=1";
             meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
             title { (title) }
-            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(OWN_STYLE)) }
+            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(SUITE_STYLE)) }
         }
     }
 }
 
-pub(super) fn seen(estimator: EstimatorKind) -> &'static str {
+pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     match estimator {
         EstimatorKind::Truth => "nothing: they see the true state",
         EstimatorKind::Kalman => "noisy sensors and a Kalman filter",
@@ -201,7 +201,7 @@ pub(super) fn seen(estimator: EstimatorKind) -> &'static str {
 }
 
 /// Every figure, and who says so.
-fn figures(test: &TestResult) -> Markup {
+fn parameter_list(test: &TestResult) -> Markup {
     html! {
         ul.short { @for (parameter, figure) in test.figures.stated() {
             @let values: Vec<String> = figure.values.iter().map(f64::to_string).collect();
@@ -228,7 +228,7 @@ fn is_refused(tested: &Tested) -> bool {
     matches!(tested.verdict, TestVerdict::Refused { .. })
 }
 
-fn class(tested: &Tested) -> &'static str {
+fn css_class(tested: &Tested) -> &'static str {
     match tested.is_passed() {
         true => "good",
         false if is_refused(tested) => "refused",
@@ -236,7 +236,7 @@ fn class(tested: &Tested) -> &'static str {
     }
 }
 
-fn sign(tested: &Tested) -> &'static str {
+fn verdict_sign(tested: &Tested) -> &'static str {
     match tested.is_passed() {
         true => "✓ ",
         false if is_refused(tested) => "– ",
@@ -244,12 +244,12 @@ fn sign(tested: &Tested) -> &'static str {
     }
 }
 
-fn points(tested: &Tested) -> String {
+fn format_points(tested: &Tested) -> String {
     if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) }
 }
 
 /// A cell of the matrix: how many points pass, how hard the worst contact is, the first margin.
-fn cell(tested: &Tested) -> Markup {
+fn matrix_cell(tested: &Tested) -> Markup {
     let worst_mps = tested.failures().map(|failed| impact_mps(&failed.verdict)).fold(0.0, f64::max);
     html! {
         (sign(tested))

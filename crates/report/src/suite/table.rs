@@ -1,17 +1,17 @@
 //! Runs of several suites with the same controllers, as one table in Markdown.
 
-use super::words::least;
+use super::description::least;
 use crate::markdown::Markdown;
-use crumple_suites::{Margin, MarginEnd, STATEMENT, SuiteResult, TestVerdict, Tested};
+use crumple_suites::{Margin, MarginEnd, DISCLAIMER, SuiteResult, TestVerdict, Tested};
 
 /// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
 /// test that passes can be pushed.
 #[must_use]
-pub fn table(results: &[SuiteResult]) -> String {
+pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     let tests = || results.iter().flat_map(|result| result.tests().map(move |(_, test)| (result, test)));
     let mut text = Markdown::default();
     text.heading(1, "Suites after regulations");
-    text.paragraph(STATEMENT);
+    text.paragraph(DISCLAIMER);
     text.paragraph(
         "✓: every point of the grid passes, and none was found to fail that the clause allows; ✗: some point fails; –: it cannot be run. \
          Then how many points pass, the fastest impact, or the least margin of the first direction.",
@@ -30,7 +30,7 @@ pub fn table(results: &[SuiteResult]) -> String {
     text.into_string()
 }
 
-fn cell(tested: &Tested) -> String {
+fn format_cell(tested: &Tested) -> String {
     let points = format!("{}/{}", tested.passed, tested.points);
     if tested.points == 0 {
         return "–".to_owned();
@@ -49,7 +49,7 @@ fn cell(tested: &Tested) -> String {
     format!("✓ {points}{margin}")
 }
 
-fn end(margin: &Margin) -> String {
+fn describe_margin_end(margin: &Margin) -> String {
     let Margin { push, unit, to, end, .. } = margin;
     match end {
         MarginEnd::None { .. } => format!("{} not at all", push.words()),

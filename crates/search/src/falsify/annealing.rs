@@ -7,31 +7,31 @@
 use rand::RngExt;
 
 use super::method::rankable;
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Moves of each coordinate in a cycle.
-const MOVES_A_COORDINATE: usize = 100;
+const MOVES_PER_COORDINATE: usize = 100;
 /// Temperature at the end of a cycle, relative to its start.
-const COOLING: f64 = 1e-6;
+const FINAL_TEMPERATURE_RATIO: f64 = 1e-6;
 /// Uniform points whose spread sets the first temperature.
-const WARM_UP: usize = 16;
+const WARM_UP_POINTS: usize = 16;
 
 /// Simulated annealing.
 #[derive(Debug)]
 pub(super) struct Annealing {
     random: Stream,
     dimension: usize,
-    warm_up: Vec<f64>,
+    warm_up_values: Vec<f64>,
     current: (f64, Vec<f64>),
     best: (f64, Vec<f64>),
     steps: Vec<f64>,
     moves: usize,
-    asked: Vec<Vec<f64>>,
+    pending: Vec<Vec<f64>>,
 }
 
 impl Annealing {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         Self {
             random: stream(seed, Purpose::Search, 0),
             dimension: cube.dimension(),
@@ -49,12 +49,12 @@ impl Annealing {
         let count = finite().count().max(1) as f64;
         let mean = finite().sum::<f64>() / count;
         let spread = (finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
-        let cycle = MOVES_A_COORDINATE * self.dimension;
-        spread * COOLING.powf((self.moves % cycle) as f64 / cycle as f64)
+        let cycle = MOVES_PER_COORDINATE * self.dimension;
+        spread * FINAL_TEMPERATURE_RATIO.powf((self.moves % cycle) as f64 / cycle as f64)
     }
 
     /// The coordinate that the current move changes.
-    fn moving(&self) -> usize {
+    fn current_coordinate(&self) -> usize {
         self.moves % self.dimension
     }
 }
@@ -62,7 +62,7 @@ impl Annealing {
 impl Search for Annealing {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.asked = if self.warm_up.is_empty() {
-            (0..WARM_UP).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
+            (0..WARM_UP_POINTS).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
         } else {
             let mut point = self.current.1.clone();
             let coordinate = self.moving();
@@ -98,7 +98,7 @@ impl Search for Annealing {
             *step = (*step * if accepted { 1.1 } else { 1.0 / 1.1 }).clamp(1e-9, 0.5);
         }
         self.moves += 1;
-        if self.moves.is_multiple_of(MOVES_A_COORDINATE * self.dimension) {
+        if self.moves.is_multiple_of(MOVES_PER_COORDINATE * self.dimension) {
             self.current = self.best.clone();
             self.steps.fill(0.5);
         }
@@ -106,7 +106,7 @@ impl Search for Annealing {
 }
 
 /// Mirrored into [0, 1].
-fn reflected(x: f64) -> f64 {
+fn reflect(x: f64) -> f64 {
     let folded = x.rem_euclid(2.0);
     if folded > 1.0 { 2.0 - folded } else { folded }
 }

@@ -3,49 +3,49 @@
 use rand::RngExt;
 
 use super::climb::{Climbs, Move};
-use super::cma_es::{FIRST_SIGMA, Run, default_population};
+use super::cma_es::{INITIAL_SIGMA, Run, default_population};
 use super::method::rankable;
 use super::plateau_bisection::{Plateaus, Segment};
-use super::sequential::LeadDescent;
-use super::shape::simple_point;
+use super::sequential::LeaderDescent;
+use super::simple_points::sample_simple_point;
 use super::surrogate::{Chosen, Surrogate};
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Simple points before anything else: problems that give in to extreme inputs end here.
-const FIRST_POINTS: usize = 16;
+const INITIAL_POINTS: usize = 16;
 /// Signals of a descent have at most so many pieces.
 const DESCENT_PIECES: usize = 10;
 /// Step of a descent that starts at one of the best points, and how many of them it may start from.
 const LOCAL_SIGMA: f64 = 0.15;
-const STARTS: usize = 5;
+const START_CANDIDATES: usize = 5;
 /// A descent has met a plateau after so many generations without a gain of this share of its best value.
 const PATIENCE: usize = 4;
-const GAIN: f64 = 0.1;
+const MIN_RELATIVE_GAIN: f64 = 0.1;
 /// Most evaluations of exploration for each one of the descent before: a quarter of the budget always descends.
-const MOST_EXPLORATION: usize = 3;
+const MAX_EXPLORATION_RATIO: usize = 3;
 /// Below this spread a descent is on its own: the surrogate shows the way from afar and would mislead it near by.
-const FINE: f64 = 0.1;
+const FINE_SPREAD: f64 = 0.1;
 /// Since its points are screened, a descent makes do with half the usual population, but not with fewer than this.
-const SMALLEST_POPULATION: usize = 4;
+const MIN_POPULATION: usize = 4;
 /// Candidates of which the most promising one is evaluated.
-const SCREENED: usize = 16;
+const SCREENING_CANDIDATES: usize = 16;
 /// Latest points the surrogate is fitted to: its cost grows with their cube.
-const MOST_KNOWN: usize = 150;
+const MAX_SURROGATE_POINTS: usize = 150;
 /// Descents kept for later, for the same reason as good points.
-const MOST_PAUSED: usize = 200;
+const MAX_PAUSED_DESCENTS: usize = 200;
 /// Good points kept: a long search must not fill memory, and descents start at the best few.
-const MOST_GOOD_POINTS: usize = 2000;
+const MAX_GOOD_POINTS: usize = 2000;
 /// Evaluations of everything else for each one of a descent of the leader's script.
-const BESIDE_LEAD: usize = 3;
+const OTHER_EVALUATIONS_PER_LEADER_EVALUATION: usize = 3;
 /// What goes along with each generation of a descent.
-const BESIDE_DESCENT: Share = Share { screened: 2, simple: 0, edges: 0 };
+const PLAN_DURING_DESCENT: BatchPlan = BatchPlan { screened: 2, simple: 0, edges: 0 };
 /// A batch while no descent runs.
-const EXPLORATION: Share = Share { screened: 1, simple: 4, edges: 7 };
+const EXPLORATION_PLAN: BatchPlan = BatchPlan { screened: 1, simple: 4, edges: 7 };
 
 /// How many points of each kind a batch holds.
 #[derive(Debug, Clone, Copy)]
-struct Share {
+struct BatchPlan {
     screened: usize,
     simple: usize,
     edges: usize,
@@ -68,8 +68,8 @@ struct Share {
 /// easy problems soon, and on deceptive slopes their share of the budget falls.
 #[derive(Debug)]
 pub(super) struct Auto {
-    cube: Cube,
-    coarse: Cube,
+    cube: UnitCube,
+    coarse: UnitCube,
     random: Stream,
     plateaus: Plateaus,
     climbs: Climbs,
@@ -80,47 +80,47 @@ pub(super) struct Auto {
     paused: Vec<Descent>,
     exploration_left: usize,
     /// The latest coarse points and their values, in the order they were evaluated.
-    known: Vec<(Vec<f64>, f64)>,
+    surrogate_data: Vec<(Vec<f64>, f64)>,
     /// How many there have been, forgotten ones included.
-    known_ever: usize,
+    surrogate_data_count: usize,
     surrogate: Option<Surrogate>,
-    metric: Chosen,
-    lead: Lead,
-    asked: Vec<Asked>,
+    metric_selection: Chosen,
+    leader_search: LeaderSearch,
+    pending: Vec<PortfolioProposal>,
 }
 
 /// Descents of the leader's script, one after the other.
 #[derive(Debug, Default)]
-struct Lead {
-    descent: Option<LeadDescent>,
+struct LeaderSearch {
+    descent: Option<LeaderDescent>,
     /// The best point so far, and its value.
     best: Option<(f64, Vec<f64>)>,
     /// The best value when the last one began.
-    begun_at: Option<f64>,
+    started_at_value: Option<f64>,
     /// Evaluations of the descents, and of everything.
-    spent: [usize; 2],
+    evaluations: [usize; 2],
 }
 
 #[derive(Debug)]
-struct Descent {
+struct CmaDescent {
     run: Run,
     best: f64,
     evaluations: usize,
-    fruitless: usize,
+    generations_without_gain: usize,
 }
 
 #[derive(Debug)]
-enum Asked {
+enum PortfolioProposal {
     Simple(Vec<f64>),
     Screened(Vec<f64>),
     Descent(Vec<f64>),
     PlateauBisection(Segment),
     Climb(Move),
-    Lead(Vec<f64>),
+    Leader(Vec<f64>),
 }
 
 impl Auto {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         Self {
             cube: cube.clone(),
             coarse: cube.coarse(DESCENT_PIECES),
@@ -137,12 +137,12 @@ impl Auto {
             known_ever: 0,
             surrogate: None,
             metric: Chosen::default(),
-            lead: Lead::default(),
+            lead: LeaderSearch::default(),
             asked: Vec::new(),
         }
     }
 
-    fn ask_share(&mut self, share: Share) {
+    fn propose_batch(&mut self, share: BatchPlan) {
         for _ in 0..share.edges {
             let next = self.edge();
             self.asked.push(next);
@@ -157,28 +157,28 @@ impl Auto {
         }
     }
 
-    fn edge(&mut self) -> Asked {
+    fn propose_edge(&mut self) -> PortfolioProposal {
         let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
         if let Some(segment) = segment {
-            return Asked::PlateauBisection(segment);
+            return PortfolioProposal::PlateauBisection(segment);
         }
         match self.climbs.next(&self.cube, &mut self.random) {
-            Some(proposal) => Asked::Climb(proposal),
+            Some(proposal) => PortfolioProposal::Climb(proposal),
             None => self.simple(),
         }
     }
 
-    fn simple(&mut self) -> Asked {
-        Asked::Simple(simple_point(&self.cube, &mut self.random))
+    fn propose_simple(&mut self) -> PortfolioProposal {
+        PortfolioProposal::Simple(sample_simple_point(&self.cube, &mut self.random))
     }
 
     /// The most promising of several simple points.
-    fn screened(&mut self) -> Asked {
+    fn propose_screened(&mut self) -> PortfolioProposal {
         let Some(surrogate) = &self.surrogate else { return self.simple() };
-        let candidates = (0..SCREENED).map(|_| simple_point(&self.cube, &mut self.random));
+        let candidates = (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
         let scored = candidates.map(|point| (surrogate.score(&self.cube.coarsen(&self.coarse, &point)), point));
         let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
-        Asked::Screened(best.map(|(_, point)| point).unwrap_or_default())
+        PortfolioProposal::Screened(best.map(|(_, point)| point).unwrap_or_default())
     }
 
     /// The first two descents start at the centre; then the best one that was broken off continues, and new ones start at
@@ -193,9 +193,9 @@ impl Auto {
             let paused = self.paused.swap_remove(index);
             return Descent { evaluations: 0, fruitless: 0, ..paused };
         }
-        let population = (default_population(self.coarse.dimension()) / 2).max(SMALLEST_POPULATION);
+        let population = (default_population(self.coarse.dimension()) / 2).max(MIN_POPULATION);
         let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
-            (vec![0.5; self.coarse.dimension()], FIRST_SIGMA)
+            (vec![0.5; self.coarse.dimension()], INITIAL_SIGMA)
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             let among = self.good_points.len().min(STARTS);
@@ -209,7 +209,7 @@ impl Auto {
 impl Descent {
     fn learn(&mut self, generation: &[f64]) {
         let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
-        let gained = self.best == f64::INFINITY || least < self.best - GAIN * self.best.abs();
+        let gained = self.best == f64::INFINITY || least < self.best - MIN_RELATIVE_GAIN * self.best.abs();
         self.fruitless = if gained { 0 } else { self.fruitless + 1 };
         self.best = if gained { least } else { self.best };
         self.evaluations += generation.len();
@@ -217,21 +217,21 @@ impl Descent {
     }
 }
 
-impl Lead {
-    fn ask(&mut self, cube: &Cube) -> Vec<Vec<f64>> {
+impl LeaderSearch {
+    fn ask(&mut self, cube: &UnitCube) -> Vec<Vec<f64>> {
         let [own, all] = self.spent;
-        if cube.leader().is_empty() || own * (1 + BESIDE_LEAD) > all {
+        if cube.leader().is_empty() || own * (1 + OTHER_EVALUATIONS_PER_LEADER_EVALUATION) > all {
             return Vec::new();
         }
-        let asked = self.descent.as_mut().map(LeadDescent::ask).unwrap_or_default();
+        let asked = self.descent.as_mut().map(LeaderDescent::ask).unwrap_or_default();
         let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
         let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
-        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - GAIN * begun_at.abs());
+        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
         if !has_fallen {
             return asked;
         }
         self.begun_at = Some(*best);
-        self.descent.insert(LeadDescent::new(cube, point.clone(), *best)).ask()
+        self.descent.insert(LeaderDescent::new(cube, point.clone(), *best)).ask()
     }
 
     /// The values of what was asked for last.
@@ -252,7 +252,7 @@ impl Lead {
 }
 
 impl Auto {
-    fn remember(&mut self, point: &[f64], value: f64) {
+    fn add_surrogate_data(&mut self, point: &[f64], value: f64) {
         self.known.push((self.cube.coarsen(&self.coarse, point), value));
         self.known_ever += 1;
     }
@@ -262,41 +262,41 @@ impl Search for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.asked.clear();
-        self.known.drain(..self.known.len().saturating_sub(MOST_KNOWN));
+        self.known.drain(..self.known.len().saturating_sub(MAX_SURROGATE_POINTS));
         self.surrogate = Surrogate::fit(&self.coarse, &self.known, self.known_ever, &mut self.metric);
-        if self.good_points.len() > 2 * MOST_GOOD_POINTS {
+        if self.good_points.len() > 2 * MAX_GOOD_POINTS {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            self.good_points.truncate(MOST_GOOD_POINTS);
+            self.good_points.truncate(MAX_GOOD_POINTS);
         }
         if self.good_points.len() + self.descents == 0 {
-            self.ask_share(Share { screened: 0, simple: FIRST_POINTS, edges: 0 });
+            self.propose_batch(BatchPlan { screened: 0, simple: FIRST_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
-            self.ask_share(EXPLORATION);
+            self.propose_batch(EXPLORATION_PLAN);
         } else {
             let mut descent = match self.descent.take() {
                 Some(descent) => descent,
                 None => self.next_descent(),
             };
             let generation = match &self.surrogate {
-                Some(surrogate) if descent.run.spread() > FINE => {
-                    descent.run.ask_screened(&mut self.random, SCREENED, |point| surrogate.score(point))
+                Some(surrogate) if descent.run.spread() > FINE_SPREAD => {
+                    descent.run.ask_screened(&mut self.random, SCREENING_CANDIDATES, |point| surrogate.score(point))
                 }
                 _ => descent.run.ask(&mut self.random),
             };
             self.asked
-                .extend(generation.into_iter().map(|point| Asked::Descent(self.cube.refine(&self.coarse, &point))));
+                .extend(generation.into_iter().map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))));
             self.descent = Some(descent);
-            self.ask_share(BESIDE_DESCENT);
+            self.propose_batch(PLAN_DURING_DESCENT);
         }
         // Not before the first descent has met its plateau: easy problems are decided by then.
         if self.descents > 1 || self.exploration_left > 0 {
-            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(Asked::Lead));
+            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(PortfolioProposal::Lead));
         }
-        let point = |asked: &Asked| match asked {
-            Asked::Simple(point) | Asked::Screened(point) => point.clone(),
-            Asked::Descent(point) | Asked::Lead(point) => point.clone(),
-            Asked::PlateauBisection(segment) => segment.middle(),
-            Asked::Climb(proposal) => proposal.point.clone(),
+        let point = |asked: &PortfolioProposal| match asked {
+            PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) => point.clone(),
+            PortfolioProposal::Descent(point) | PortfolioProposal::Lead(point) => point.clone(),
+            PortfolioProposal::PlateauBisection(segment) => segment.middle(),
+            PortfolioProposal::Climb(proposal) => proposal.point.clone(),
         };
         self.asked.iter().map(point).collect()
     }
@@ -306,27 +306,27 @@ impl Search for Auto {
         let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
         let asked = std::mem::take(&mut self.asked);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
-            if let Asked::Simple(point) | Asked::Screened(point) | Asked::Descent(point) | Asked::Lead(point) = &asked {
+            if let PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) | PortfolioProposal::Descent(point) | PortfolioProposal::Lead(point) = &asked {
                 self.lead.learn(point, value);
             }
             match asked {
-                Asked::Screened(point) => {
+                PortfolioProposal::Screened(point) => {
                     self.remember(&point, value);
                     self.good_points.push((value, point));
                 }
-                Asked::Simple(point) => {
+                PortfolioProposal::Simple(point) => {
                     self.remember(&point, value);
                     self.plateaus.add(point.clone(), value);
                     self.climbs.start(point.clone(), value);
                     self.good_points.push((value, point));
                 }
-                Asked::Descent(point) => {
+                PortfolioProposal::Descent(point) => {
                     self.remember(&point, value);
                     generation.push(value);
                 }
-                Asked::PlateauBisection(segment) => self.segments.extend(self.plateaus.halved(segment, value)),
-                Asked::Climb(proposal) => self.climbs.tell(proposal, value),
-                Asked::Lead(point) => {
+                PortfolioProposal::PlateauBisection(segment) => self.segments.extend(self.plateaus.halved(segment, value)),
+                PortfolioProposal::Climb(proposal) => self.climbs.tell(proposal, value),
+                PortfolioProposal::Lead(point) => {
                     of_lead.push(value);
                     self.remember(&point, value);
                     self.good_points.push((value, point));
@@ -340,11 +340,11 @@ impl Search for Auto {
             if descent.fruitless < PATIENCE && !stagnated {
                 self.descent = Some(descent);
             } else {
-                self.exploration_left = self.descents.min(MOST_EXPLORATION) * descent.evaluations;
+                self.exploration_left = self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;
                 self.paused.extend((!stagnated).then_some(descent));
-                if self.paused.len() > MOST_PAUSED {
+                if self.paused.len() > MAX_PAUSED_DESCENTS {
                     self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
-                    self.paused.truncate(MOST_PAUSED / 2);
+                    self.paused.truncate(MAX_PAUSED_DESCENTS / 2);
                 }
             }
         }

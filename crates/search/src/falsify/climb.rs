@@ -1,16 +1,16 @@
 //! Many short climbs at once, the promising ones continued.
 
-use crate::falsify::Cube;
-use crate::falsify::shape::neighbour;
+use crate::falsify::UnitCube;
+use crate::falsify::simple_points::neighbour;
 use crumple_world::random::Stream;
 
 /// Fruitless moves that weigh as much as one place in the ranking.
-const MOVES_A_RANK: f64 = 8.0;
+const MOVES_PER_RANK: f64 = 8.0;
 /// What is left of a coordinate's weight when a change of it has changed nothing, and the least that stays.
-const NEUTRAL: f64 = 0.3;
-const LEAST_WEIGHT: f64 = 0.03;
+const NEUTRAL_DECAY: f64 = 0.3;
+const MIN_WEIGHT: f64 = 0.03;
 /// Climbs kept: worse ones are forgotten.
-const KEPT: usize = 200;
+const MAX_CLIMBS: usize = 200;
 
 /// Climbs from many points.
 ///
@@ -29,22 +29,22 @@ pub(super) struct Climbs {
 struct Climb {
     point: Vec<f64>,
     value: f64,
-    fruitless: u32,
+    moves_without_gain: u32,
     weights: Vec<f64>,
     last_gain: Option<Vec<f64>>,
-    busy: bool,
+    has_pending_move: bool,
 }
 
 /// A proposal of one climb; hand it back with its value.
 #[derive(Debug)]
-pub(super) struct Move {
+pub(super) struct ClimbMove {
     climb: usize,
     pub(super) point: Vec<f64>,
 }
 
 impl Climbs {
     /// A new start.
-    pub(super) fn start(&mut self, point: Vec<f64>, value: f64) {
+    pub(super) fn add_start(&mut self, point: Vec<f64>, value: f64) {
         let weights = vec![1.0; point.len()];
         self.climbs.push(Climb { point, value, fruitless: 0, weights, last_gain: None, busy: false });
     }
@@ -57,15 +57,15 @@ impl Climbs {
     }
 
     /// The next move, of a climb that has none in this batch.
-    pub(super) fn next(&mut self, cube: &Cube, random: &mut Stream) -> Option<Move> {
-        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.fruitless) / MOVES_A_RANK;
+    pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
+        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.fruitless) / MOVES_PER_RANK;
         let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.busy);
         let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
         climb.busy = true;
-        Some(Move { climb: index, point: climb.propose(cube, random)? })
+        Some(ClimbMove { climb: index, point: climb.propose(cube, random)? })
     }
 
-    pub(super) fn tell(&mut self, proposal: Move, value: f64) {
+    pub(super) fn tell(&mut self, proposal: ClimbMove, value: f64) {
         if let Some(climb) = self.climbs.get_mut(proposal.climb) {
             climb.learn(proposal.point, value);
         }
@@ -73,7 +73,7 @@ impl Climbs {
 }
 
 impl Climb {
-    fn propose(&mut self, cube: &Cube, random: &mut Stream) -> Option<Vec<f64>> {
+    fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<Vec<f64>> {
         use rand::RngExt;
         if let Some(gain) = self.last_gain.take() {
             let longer = random.random_range(0.5..2.0);
@@ -89,7 +89,7 @@ impl Climb {
     fn learn(&mut self, point: Vec<f64>, value: f64) {
         let change: Vec<f64> = point.iter().zip(&self.point).map(|(new, old)| new - old).collect();
         for (weight, _) in self.weights.iter_mut().zip(&change).filter(|(_, change)| **change != 0.0) {
-            *weight = if value == self.value { (*weight * NEUTRAL).max(LEAST_WEIGHT) } else { 1.0 };
+            *weight = if value == self.value { (*weight * NEUTRAL_DECAY).max(MIN_WEIGHT) } else { 1.0 };
         }
         self.fruitless += 1;
         if value < self.value {

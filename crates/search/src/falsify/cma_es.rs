@@ -8,23 +8,23 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::method::rankable;
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Largest population after restarts, as a multiple of the first one.
-const LARGEST_GROWTH: usize = 32;
+const MAX_GROWTH: usize = 32;
 /// First step size, in parts of the cube: the tutorial's 0.3 of the range.
-pub(super) const FIRST_SIGMA: f64 = 0.3;
+pub(super) const INITIAL_SIGMA: f64 = 0.3;
 /// Where the covariance is worse conditioned than this, it is numerically useless.
-const WORST_CONDITION: f64 = 1e14;
+const MAX_CONDITION_NUMBER: f64 = 1e14;
 
 /// CMA-ES with restarts. The first run starts at the centre, later ones anywhere.
 #[derive(Debug)]
 pub(super) struct CmaEs {
     random: Stream,
-    first_population: usize,
+    initial_population: usize,
     growth: usize,
-    run: Run,
+    run: CmaRun,
 }
 
 /// One run, from a start to stagnation.
@@ -32,12 +32,12 @@ pub(super) struct CmaEs {
 /// Points outside the cube are moved to its surface, and learned from where they were evaluated: the extreme inputs that
 /// falsification looks for are thus reached exactly.
 #[derive(Debug)]
-pub(super) struct Run {
+pub(super) struct CmaRun {
     population: usize,
-    asked: Vec<DVector<f64>>,
+    pending: Vec<DVector<f64>>,
     mean: DVector<f64>,
     sigma: f64,
-    first_sigma: f64,
+    initial_sigma: f64,
     covariance: DMatrix<f64>,
     /// Eigenvectors of the covariance, and the square roots of its eigenvalues.
     axes: DMatrix<f64>,
@@ -45,7 +45,7 @@ pub(super) struct Run {
     path_sigma: DVector<f64>,
     path_covariance: DVector<f64>,
     generation: usize,
-    best_of_recent: Vec<f64>,
+    recent_best_values: Vec<f64>,
 }
 
 /// The constants of the tutorial's table 1, without negative weights.
@@ -80,14 +80,14 @@ impl Constants {
 }
 
 impl CmaEs {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let dimension = cube.dimension();
         let population = default_population(dimension);
         Self {
             random: stream(seed, Purpose::Search, 0),
             first_population: population,
             growth: 1,
-            run: Run::new(vec![0.5; dimension], FIRST_SIGMA, population),
+            run: CmaRun::new(vec![0.5; dimension], INITIAL_SIGMA, population),
         }
     }
 }
@@ -95,9 +95,9 @@ impl CmaEs {
 impl Search for CmaEs {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         if self.run.has_stagnated() {
-            self.growth = (2 * self.growth).min(LARGEST_GROWTH);
+            self.growth = (2 * self.growth).min(MAX_GROWTH);
             let start = self.run.mean.iter().map(|_| self.random.random()).collect();
-            self.run = Run::new(start, FIRST_SIGMA, self.first_population * self.growth);
+            self.run = CmaRun::new(start, INITIAL_SIGMA, self.first_population * self.growth);
         }
         self.run.ask(&mut self.random)
     }
@@ -112,7 +112,7 @@ pub(super) fn default_population(dimension: usize) -> usize {
     4 + (3.0 * (dimension as f64).ln()) as usize
 }
 
-impl Run {
+impl CmaRun {
     pub(super) fn new(start: Vec<f64>, sigma: f64, population: usize) -> Self {
         let n = start.len();
         Self {
@@ -136,7 +136,7 @@ impl Run {
         self.asked.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
-    /// Points like those of [`Run::ask`], but each the best of `among` by `score`.
+    /// Points like those of [`CmaRun::ask`], but each the best of `among` by `score`.
     pub(super) fn ask_screened(
         &mut self,
         random: &mut Stream,
@@ -227,6 +227,6 @@ impl Run {
         let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
         let flat = self.best_of_recent.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
         let lost = !spread.is_finite() || !least.is_finite() && self.best_of_recent.len() >= window;
-        spread < 1e-12 * self.first_sigma || spread > 1e4 || condition > WORST_CONDITION || flat || lost
+        spread < 1e-12 * self.first_sigma || spread > 1e4 || condition > MAX_CONDITION_NUMBER || flat || lost
     }
 }

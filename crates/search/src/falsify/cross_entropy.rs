@@ -7,16 +7,16 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::method::rankable;
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const POPULATION: usize = 60;
-const ELITE: usize = 6;
+const ELITE_SIZE: usize = 6;
 const MEAN_SMOOTHING: f64 = 0.8;
 const DEVIATION_SMOOTHING: f64 = 0.8;
-const FADING: f64 = 5.0;
+const SMOOTHING_EXPONENT: f64 = 5.0;
 /// Where all deviations are smaller, the distribution is a point, and the search starts anew elsewhere.
-const COLLAPSED: f64 = 1e-5;
+const MIN_DEVIATION: f64 = 1e-5;
 
 /// Cross-entropy search.
 #[derive(Debug)]
@@ -25,11 +25,11 @@ pub(super) struct CrossEntropy {
     mean: Vec<f64>,
     deviation: Vec<f64>,
     generation: f64,
-    asked: Vec<Vec<f64>>,
+    pending: Vec<Vec<f64>>,
 }
 
 impl CrossEntropy {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let dimension = cube.dimension();
         Self {
             random: stream(seed, Purpose::Search, 0),
@@ -43,7 +43,7 @@ impl CrossEntropy {
 
 impl Search for CrossEntropy {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        if self.deviation.iter().all(|&deviation| deviation < COLLAPSED) {
+        if self.deviation.iter().all(|&deviation| deviation < MIN_DEVIATION) {
             self.mean.iter_mut().for_each(|mean| *mean = self.random.random());
             self.deviation.fill(0.5);
             self.generation = 0.0;
@@ -64,13 +64,13 @@ impl Search for CrossEntropy {
         let mut ranked: Vec<(f64, &Vec<f64>)> =
             robustness.iter().map(|&value| rankable(value)).zip(&self.asked).collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        ranked.truncate(ELITE);
+        ranked.truncate(ELITE_SIZE);
         self.generation += 1.0;
-        let fading = DEVIATION_SMOOTHING - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(FADING);
+        let fading = DEVIATION_SMOOTHING - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(SMOOTHING_EXPONENT);
         for (i, (mean, deviation)) in self.mean.iter_mut().zip(&mut self.deviation).enumerate() {
             let elite = || ranked.iter().filter_map(|(_, point)| point.get(i));
-            let centre = elite().sum::<f64>() / ELITE as f64;
-            let spread = (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE as f64).sqrt();
+            let centre = elite().sum::<f64>() / ELITE_SIZE as f64;
+            let spread = (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE_SIZE as f64).sqrt();
             *mean += MEAN_SMOOTHING * (centre - *mean);
             *deviation += fading * (spread - *deviation);
         }

@@ -9,9 +9,9 @@ use crumple_world::scenario::space::Space;
 ///
 /// Methods that know signals may propose fewer pieces, which refine to all of them; to others it is just a cube.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Cube {
+pub struct UnitCube {
     blocks: Vec<Range<usize>>,
-    leader: Vec<usize>,
+    leader_coordinates: Vec<usize>,
 }
 
 /// A cube without coordinates, or with a block without any.
@@ -19,15 +19,15 @@ pub struct Cube {
 #[error("a search needs at least one coordinate, and at least one in each block")]
 pub struct EmptyBlock;
 
-impl Cube {
+impl UnitCube {
     /// The cube that a search in a space moves in: a block for each parameter, a signal's as long as it has pieces. It
     /// knows which of them shape the script of the leader.
     ///
     /// # Errors
     /// None: a space has at least one parameter, and each has a coordinate.
-    pub fn of(space: &Space) -> Result<Self, EmptyBlock> {
+    pub fn from_space(space: &Space) -> Result<Self, EmptyBlock> {
         let cube = Self::new(space.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
-        let of_leader = space.parameters().iter().filter(|parameter| parameter.scripts_leader());
+        let of_leader = space.parameters().iter().filter(|parameter| parameter.is_leader_script());
         Ok(cube.with_leader(of_leader.flat_map(|parameter| parameter.coordinates())))
     }
 
@@ -63,20 +63,20 @@ impl Cube {
     /// Names the coordinates that say how a scripted leader drives: the others are its circumstances. Coordinates outside
     /// the cube are left out.
     #[must_use]
-    pub fn with_leader(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
+    pub fn with_leader_coordinates(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
         self.leader = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
         self
     }
 
     /// The coordinates that say how a scripted leader drives; none where the problem has no leader.
     #[must_use]
-    pub fn leader(&self) -> &[usize] {
+    pub fn leader_coordinates(&self) -> &[usize] {
         &self.leader
     }
 
     /// A cube whose blocks have at most `pieces` coordinates each: signals of fewer pieces.
     #[must_use]
-    pub fn coarse(&self, pieces: usize) -> Self {
+    pub fn with_max_pieces(&self, pieces: usize) -> Self {
         let lengths = self.blocks.iter().map(|block| block.len().min(pieces.max(1)));
         let mut start = 0;
         let blocks = lengths.map(|length| {
@@ -143,7 +143,7 @@ mod tests {
             pieces in 1usize..25,
             values in prop::collection::vec(0.0..1.0f64, 75),
         ) {
-            let cube = Cube::new(lengths).unwrap();
+            let cube = UnitCube::new(lengths).unwrap();
             let coarse = cube.coarse(pieces);
             let point = &values[..coarse.dimension()];
             let refined = cube.refine(&coarse, point);

@@ -2,10 +2,10 @@
 
 use rand::seq::SliceRandom;
 
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, stream};
 
-const BATCH: usize = 32;
+const BATCH_SIZE: usize = 32;
 
 /// Halton's sequence with every digit permuted at random, each position by itself (Owen, A randomized Halton algorithm
 /// in R, 2017, arXiv:1706.02808).
@@ -22,7 +22,7 @@ pub(super) struct Halton {
 #[derive(Debug)]
 struct Coordinate {
     base: u64,
-    digits: Vec<Vec<u64>>,
+    digit_permutations: Vec<Vec<u64>>,
 }
 
 impl Coordinate {
@@ -38,7 +38,7 @@ impl Coordinate {
     }
 
     /// The radical inverse of `index`: its digits, permuted and mirrored at the point.
-    fn at(&self, mut index: u64) -> f64 {
+    fn radical_inverse(&self, mut index: u64) -> f64 {
         let mut weight = 1.0;
         let mut value = 0.0;
         for permutation in &self.digits {
@@ -52,13 +52,13 @@ impl Coordinate {
 }
 
 impl Halton {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let coordinates = primes().take(cube.dimension()).zip(0..).map(|(base, i)| Coordinate::new(base, seed, i));
         Self { coordinates: coordinates.collect(), next: 0 }
     }
 
     /// What follows so many points.
-    pub(super) fn after(self, points: u64) -> Self {
+    pub(super) fn skip_points(self, points: u64) -> Self {
         Self { next: points, ..self }
     }
 }
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn spreads_more_evenly_than_uniform_points() {
         for dimension in [2, 5] {
-            let cube = Cube::new([dimension]).unwrap();
+            let cube = UnitCube::new([dimension]).unwrap();
             let mean = |method: Method| {
                 let of = |seed| {
                     let mut search = method.start(&cube, seed);
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn every_stratum_of_a_base_holds_one_point() {
-        let mut halton = Halton::new(&Cube::new([3]).unwrap(), 4);
+        let mut halton = Halton::new(&UnitCube::new([3]).unwrap(), 4);
         let points: Vec<_> = (0..4).flat_map(|_| halton.ask()).collect();
         for (coordinate, base) in [2, 3, 5].into_iter().enumerate() {
             let strata = 25 / base * base;

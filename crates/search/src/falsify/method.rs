@@ -10,7 +10,7 @@ use super::annealing::Annealing;
 use super::auto::Auto;
 use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
-use super::cube::Cube;
+use super::cube::UnitCube;
 use super::halton::Halton;
 use super::sequential::Sequential;
 use super::signals::Signals;
@@ -18,7 +18,7 @@ use super::uniform::Uniform;
 use crumple_world::random::derived_seed;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] puts an implementation into a campaign.
-pub trait Search: fmt::Debug + Send {
+pub trait SearchAlgorithm: fmt::Debug + Send {
     /// The next points to evaluate, at least one, every coordinate in [0, 1].
     fn ask(&mut self) -> Vec<Vec<f64>>;
 
@@ -95,10 +95,10 @@ pub enum Method {
 #[derive(Clone)]
 pub struct CustomMethod {
     name: Arc<str>,
-    start: Arc<StartSearch>,
+    start: Arc<SearchFactory>,
 }
 
-type StartSearch = dyn Fn(&Cube, u64) -> Box<dyn Search> + Send + Sync;
+type SearchFactory = dyn Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send + Sync;
 
 /// A name that no custom method can have.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -115,7 +115,7 @@ impl CustomMethod {
     /// [`InvalidMethodName`] if the name is that of a built-in method, or does not consist of 1 to 40 of `a-z`, `0-9` and `-`.
     pub fn new(
         name: &str,
-        start: impl Fn(&Cube, u64) -> Box<dyn Search> + Send + Sync + 'static,
+        start: impl Fn(&UnitCube, u64) -> Box<dyn SearchAlgorithm> + Send + Sync + 'static,
     ) -> Result<Self, InvalidMethodName> {
         let is_plain = name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'));
         if !is_plain || !(1..=40).contains(&name.len()) || name.parse::<Method>().is_ok() {
@@ -201,7 +201,7 @@ impl Method {
     /// The part of a search that begins after so many of its points: of a blind one the points that follow those, of any other a search
     /// of its own, by a seed of its own.
     #[must_use]
-    pub fn start_after(&self, points: u64, cube: &Cube, seed: u64) -> Box<dyn Search> {
+    pub fn start_after(&self, points: u64, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
             Self::Uniform => Box::new(Uniform::new(cube, seed).after(points)),
             Self::Halton => Box::new(Halton::new(cube, seed).after(points)),
@@ -212,7 +212,7 @@ impl Method {
 
     /// A search in `cube`, decided by `seed`.
     #[must_use]
-    pub fn start(&self, cube: &Cube, seed: u64) -> Box<dyn Search> {
+    pub fn start(&self, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
             Self::Uniform => Box::new(Uniform::new(cube, seed)),
             Self::Halton => Box::new(Halton::new(cube, seed)),
@@ -257,7 +257,7 @@ impl FromStr for Method {
 }
 
 /// A robustness that can be ranked: NaN is worst.
-pub(super) fn rankable(robustness: f64) -> f64 {
+pub(super) fn nan_as_infinity(robustness: f64) -> f64 {
     if robustness.is_nan() { f64::INFINITY } else { robustness }
 }
 
@@ -275,9 +275,9 @@ mod tests {
 
     /// Proposes one point again and again.
     #[derive(Debug)]
-    struct Fixed(Vec<f64>);
+    struct FixedPointSearch(Vec<f64>);
 
-    impl Search for Fixed {
+    impl SearchAlgorithm for FixedPointSearch {
         fn ask(&mut self) -> Vec<Vec<f64>> {
             vec![self.0.clone()]
         }
@@ -286,7 +286,7 @@ mod tests {
     }
 
     fn campaign(name: &str, coordinate: f64) -> Campaign {
-        let start = move |cube: &Cube, _| -> Box<dyn Search> { Box::new(Fixed(vec![coordinate; cube.dimension()])) };
+        let start = move |cube: &UnitCube, _| -> Box<dyn SearchAlgorithm> { Box::new(FixedPointSearch(vec![coordinate; cube.dimension()])) };
         Campaign {
             estimator: EstimatorKind::Truth,
             method: Method::Custom(CustomMethod::new(name, start).unwrap()),
@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn custom_methods_that_do_not_fit_are_refused() {
         for name in ["", "auto", "My method", &"x".repeat(41)] {
-            assert!(CustomMethod::new(name, |_, _| Box::new(Fixed(Vec::new()))).is_err(), "{name}");
+            assert!(CustomMethod::new(name, |_, _| Box::new(FixedPointSearch(Vec::new()))).is_err(), "{name}");
         }
         let folder = tempfile::tempdir().unwrap();
         let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
@@ -333,7 +333,7 @@ mod tests {
         /// Parts of a search that does not look at values are that search; of any other they are searches of their own.
         #[test]
         fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
-            let cube = Cube::new([1, 3]).unwrap();
+            let cube = UnitCube::new([1, 3]).unwrap();
             for method in Method::ALL {
                 let mut whole = method.start(&cube, seed);
                 let mut all: Vec<Vec<f64>> = Vec::new();
@@ -358,7 +358,7 @@ mod tests {
                 20,
             ),
         ) {
-            let cube = Cube::new(lengths).unwrap().with_leader(leader);
+            let cube = UnitCube::new(lengths).unwrap().with_leader(leader);
             for method in Method::ALL {
                 prop_assert_eq!(&method.name().parse::<Method>().unwrap(), &method);
                 let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));

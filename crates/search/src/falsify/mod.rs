@@ -1,6 +1,6 @@
 //! How it is attacked: search methods that look for negative robustness, and the problems they are measured on.
 //!
-//! A search moves in a unit [`Cube`]; the owner of the problem scales it. A search proposes a batch of points
+//! A search moves in a unit [`UnitCube`]; the owner of the problem scales it. A search proposes a batch of points
 //! ([`Search::ask`]) and learns what they were worth ([`Search::tell`]). The batch is the method's choice and depends on the
 //! seed and on earlier values alone, so its points may be evaluated in any order and on any number of threads without
 //! changing a result; and a search is resumed by asking and telling again what an earlier run has logged.
@@ -17,24 +17,24 @@ mod auto;
 pub mod campaign;
 pub mod chasing_cars;
 #[cfg(test)]
-mod classic;
+mod test_functions;
 mod climb;
 mod cma_es;
-mod contrast;
+mod failure_criterion;
 pub mod counterexample;
 mod cross_entropy;
 mod cube;
 mod halton;
-mod judging;
+mod evaluator;
 mod method;
 pub mod non_finite;
 mod plateau_bisection;
 mod sequential;
-mod shape;
+mod simple_points;
 mod signals;
 mod surrogate;
 mod uniform;
 
-pub use contrast::{Contrast, ContrastRecord, Relation, UnknownRelation};
-pub use cube::{Cube, EmptyBlock};
+pub use failure_criterion::{FailureCriterion, FailureCriterionRecord, Relation, UnknownRelation};
+pub use cube::{UnitCube, EmptyBlock};
 pub use method::{CustomMethod, InvalidMethodName, Method, Search, UnknownMethod};

@@ -7,11 +7,11 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[serde(untagged)]
 enum NumberOrText {
     Number(f64),
-    Text(Infinite),
+    Text(Infinity),
 }
 
 #[derive(Serialize, Deserialize)]
-enum Infinite {
+enum Infinity {
     #[serde(rename = "inf")]
     Positive,
     #[serde(rename = "-inf")]
@@ -21,8 +21,8 @@ enum Infinite {
 impl From<f64> for NumberOrText {
     fn from(value: f64) -> Self {
         match value {
-            f64::INFINITY => Self::Text(Infinite::Positive),
-            f64::NEG_INFINITY => Self::Text(Infinite::Negative),
+            f64::INFINITY => Self::Text(Infinity::Positive),
+            f64::NEG_INFINITY => Self::Text(Infinity::Negative),
             _ => Self::Number(value),
         }
     }
@@ -32,8 +32,8 @@ impl From<NumberOrText> for f64 {
     fn from(value: NumberOrText) -> Self {
         match value {
             NumberOrText::Number(value) => value,
-            NumberOrText::Text(Infinite::Positive) => f64::INFINITY,
-            NumberOrText::Text(Infinite::Negative) => f64::NEG_INFINITY,
+            NumberOrText::Text(Infinity::Positive) => f64::INFINITY,
+            NumberOrText::Text(Infinity::Negative) => f64::NEG_INFINITY,
         }
     }
 }
@@ -80,7 +80,7 @@ mod tests {
     use serde::{Deserialize, Serialize};
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
-    struct Both {
+    struct RequiredAndOptional {
         #[serde(with = "super")]
         one: f64,
         #[serde(with = "super::optional")]
@@ -90,8 +90,8 @@ mod tests {
     #[test]
     fn infinite_numbers_come_back() {
         for (one, other) in [(f64::NEG_INFINITY, None), (f64::INFINITY, Some(f64::NEG_INFINITY)), (-1.5, Some(0.1))] {
-            let text = serde_json::to_string(&Both { one, other }).unwrap();
-            assert_eq!(serde_json::from_str::<Both>(&text).unwrap(), Both { one, other }, "{text}");
+            let text = serde_json::to_string(&RequiredAndOptional { one, other }).unwrap();
+            assert_eq!(serde_json::from_str::<RequiredAndOptional>(&text).unwrap(), RequiredAndOptional { one, other }, "{text}");
         }
     }
 }

@@ -10,39 +10,39 @@ use std::collections::{HashMap, HashSet};
 
 use rand::RngExt;
 
-use super::Cube;
+use super::UnitCube;
 use crumple_world::random::Stream;
 
 /// Halvings of a segment: to half a hundredth of the way.
-const HALVINGS: u32 = 8;
+const MAX_HALVINGS: u32 = 8;
 /// After so many of them a segment is judged by the value beyond the edge: half of the work is left to be saved.
-const JUDGED_AFTER: u32 = 4;
+const PRUNING_HALVINGS: u32 = 4;
 /// Points outside among which the nearest one is taken.
-const NEAREST_OF: usize = 60;
+const NEIGHBOUR_CANDIDATES: usize = 60;
 
 /// Points kept: in a long search, later ones would only cost memory.
-const MOST_POINTS: usize = 100_000;
+const MAX_POINTS: usize = 100_000;
 
 /// Independent points with their values, by whether others have the same value.
 #[derive(Debug, Default)]
 pub(super) struct Plateaus {
     points: Vec<(Vec<f64>, f64)>,
     /// For each value, the first point that has it.
-    first_with: HashMap<u64, usize>,
+    first_by_value: HashMap<u64, usize>,
     /// Points that share their value with others, and all others: indices, increasing.
-    flat: Vec<usize>,
-    rest: Vec<usize>,
+    plateau_points: Vec<usize>,
+    other_points: Vec<usize>,
     /// Segments there have been, from a point of `flat` to one of `rest`. While points are few, the nearest one outside is mostly the
     /// same, and halving the same segment again finds the same edge.
-    halved: HashSet<(usize, usize)>,
+    used_segments: HashSet<(usize, usize)>,
     /// The values beyond the edge of all segments that were judged, increasing.
-    judged: Vec<f64>,
+    edge_values: Vec<f64>,
 }
 
 /// The search along one segment.
 #[derive(Debug, Clone)]
 pub(super) struct Segment {
-    plateau: f64,
+    plateau_value: f64,
     inside: Vec<f64>,
     outside: Vec<f64>,
     outside_value: f64,
@@ -73,13 +73,13 @@ impl Plateaus {
     }
 
     /// A segment from a plateau to a near point outside that there has not been yet, if there are both.
-    pub(super) fn segment(&mut self, cube: &Cube, random: &mut Stream) -> Option<Segment> {
+    pub(super) fn next_segment(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<Segment> {
         if self.flat.is_empty() || self.rest.is_empty() {
             return None;
         }
         let from = *self.flat.get(random.random_range(0..self.flat.len()))?;
         let (inside, plateau) = self.points.get(from)?;
-        let (_, to, outside, outside_value) = (0..NEAREST_OF)
+        let (_, to, outside, outside_value) = (0..NEIGHBOUR_CANDIDATES)
             .filter_map(|_| self.rest.get(random.random_range(0..self.rest.len())).copied())
             .filter(|to| !self.halved.contains(&(from, *to)))
             .filter_map(|to| {
@@ -93,9 +93,9 @@ impl Plateaus {
 
     /// The half of a segment that holds the edge, given the value half-way. None if it is short enough, or if the value beyond
     /// the edge is worse than that of half of the segments so far: another edge is the better bet then.
-    pub(super) fn halved(&mut self, segment: Segment, value: f64) -> Option<Segment> {
+    pub(super) fn halve(&mut self, segment: Segment, value: f64) -> Option<Segment> {
         let half = segment.halved(value)?;
-        if half.halvings == JUDGED_AFTER {
+        if half.halvings == PRUNING_HALVINGS {
             let better = self.judged.partition_point(|known| *known < half.outside_value);
             self.judged.insert(better, half.outside_value);
             if 2 * better > self.judged.len() {
@@ -108,12 +108,12 @@ impl Plateaus {
 
 impl Segment {
     /// The point half-way.
-    pub(super) fn middle(&self) -> Vec<f64> {
+    pub(super) fn midpoint(&self) -> Vec<f64> {
         self.inside.iter().zip(&self.outside).map(|(a, b)| 0.5 * (a + b)).collect()
     }
 
     /// The half that holds the edge, unless it is short enough.
-    fn halved(mut self, value: f64) -> Option<Self> {
+    fn halve(mut self, value: f64) -> Option<Self> {
         let middle = self.middle();
         if value == self.plateau {
             self.inside = middle;
@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     fn no_segment_is_halved_twice() {
-        let cube = Cube::new([1, 1]).unwrap();
+        let cube = UnitCube::new([1, 1]).unwrap();
         let mut plateaus = Plateaus::default();
         // Three points on a plateau, two outside: six segments.
         let points = [([0.1, 0.1], 1.0), ([0.2, 0.9], 1.0), ([0.9, 0.2], 1.0), ([0.5, 0.5], 0.5), ([0.6, 0.8], 0.3)];

@@ -1,40 +1,40 @@
 //! Sequential convex programming on how the leader brakes.
 //!
 //! `crumple worst-case` varies the leader's profile in one scenario. Here the scenario is a point of the space: some of its
-//! coordinates are the leader's script ([`Cube::leader`]), the others its circumstances, held while the script is made
+//! coordinates are the leader's script ([`UnitCube::leader`]), the others its circumstances, held while the script is made
 //! worse by the same steps (`worst_case::Descent`). Every finite difference and every step is a point that is asked for, so
 //! that it counts as the evaluation it is, and a search that is resumed takes the same steps.
 
 use super::method::rankable;
-use super::shape::simple_point;
-use super::{Cube, Search};
+use super::simple_points::sample_simple_point;
+use super::{UnitCube, Search};
 use crate::worst_case::{Descent, Limits, Pace};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
 /// the ranges.
-const PACE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02] };
+const STEP_SCHEDULE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02] };
 
 /// A descent over the script of the leader, its circumstances held; then over everything.
 #[derive(Debug)]
-pub(super) struct LeadDescent {
+pub(super) struct LeaderDescent {
     point: Vec<f64>,
     coordinates: Vec<usize>,
     descent: Descent,
     is_joint: bool,
 }
 
-impl LeadDescent {
+impl LeaderDescent {
     /// From a point and the robustness there. In a cube without a leader every coordinate varies.
-    pub(super) fn new(cube: &Cube, point: Vec<f64>, robustness: f64) -> Self {
+    pub(super) fn new(cube: &UnitCube, point: Vec<f64>, robustness: f64) -> Self {
         let is_joint = cube.leader().is_empty();
         let coordinates = if is_joint { (0..cube.dimension()).collect() } else { cube.leader().to_vec() };
         Self::over(coordinates, point, robustness, is_joint)
     }
 
-    fn over(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
+    fn with_coordinates(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
         let at = coordinates.iter().filter_map(|&coordinate| point.get(coordinate).copied()).collect();
-        let descent = Descent::new(Limits { low: 0.0, high: 1.0 }, PACE, at, robustness);
+        let descent = Descent::new(Limits { low: 0.0, high: 1.0 }, STEP_SCHEDULE, at, robustness);
         Self { point, coordinates, descent, is_joint }
     }
 
@@ -54,7 +54,7 @@ impl LeadDescent {
         self.descent.tell(robustness);
     }
 
-    fn whole(&self, at: &[f64]) -> Vec<f64> {
+    fn full_point(&self, at: &[f64]) -> Vec<f64> {
         let mut whole = self.point.clone();
         for (&coordinate, &value) in self.coordinates.iter().zip(at) {
             if let Some(place) = whole.get_mut(coordinate) {
@@ -66,23 +66,23 @@ impl LeadDescent {
 }
 
 /// Simple points tried before the first descent, and between one descent and the next.
-const EXPLORED: usize = 16;
+const EXPLORATION_POINTS: usize = 16;
 /// Starts kept for later.
-const MOST_STARTS: usize = 200;
+const MAX_STARTS: usize = 200;
 
 /// Descents from the best of many simple points.
 #[derive(Debug)]
 pub(super) struct Sequential {
-    cube: Cube,
+    cube: UnitCube,
     random: Stream,
     starts: Vec<(f64, Vec<f64>)>,
-    descent: Option<LeadDescent>,
+    descent: Option<LeaderDescent>,
     /// Points asked for to explore; none if they are the descent's.
-    explored: Vec<Vec<f64>>,
+    exploration_points: Vec<Vec<f64>>,
 }
 
 impl Sequential {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let random = stream(seed, Purpose::Search, 0);
         Self { cube: cube.clone(), random, starts: Vec::new(), descent: None, explored: Vec::new() }
     }
@@ -98,7 +98,7 @@ impl Search for Sequential {
             }
             self.descent = None;
         }
-        self.explored = (0..EXPLORED).map(|_| simple_point(&self.cube, &mut self.random)).collect();
+        self.explored = (0..EXPLORATION_POINTS).map(|_| sample_simple_point(&self.cube, &mut self.random)).collect();
         self.explored.clone()
     }
 
@@ -112,7 +112,7 @@ impl Search for Sequential {
         self.starts.truncate(MOST_STARTS);
         if !self.starts.is_empty() {
             let (robustness, point) = self.starts.remove(0);
-            self.descent = Some(LeadDescent::new(&self.cube, point, robustness));
+            self.descent = Some(LeaderDescent::new(&self.cube, point, robustness));
         }
     }
 }

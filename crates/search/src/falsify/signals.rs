@@ -4,57 +4,57 @@ use rand::RngExt;
 
 use super::climb::{Climbs, Move};
 use super::method::rankable;
-use super::shape::simple_point;
-use super::{Cube, Search};
+use super::simple_points::sample_simple_point;
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
-const BATCH: usize = 8;
+const BATCH_SIZE: usize = 8;
 /// Simple points before the first climb.
-const FIRST_POINTS: usize = 24;
+const INITIAL_POINTS: usize = 24;
 /// Share of simple points after that.
-const SIMPLE: f64 = 0.5;
+const SIMPLE_SHARE: f64 = 0.5;
 
 /// Signals of few pieces that switch anywhere, often between their extremes, changed piece by piece.
 #[derive(Debug)]
-pub(super) struct Signals {
-    cube: Cube,
+pub(super) struct SignalSearch {
+    cube: UnitCube,
     random: Stream,
     climbs: Climbs,
-    starts: usize,
-    asked: Vec<Asked>,
+    start_count: usize,
+    pending: Vec<SignalProposal>,
 }
 
 #[derive(Debug)]
-enum Asked {
+enum SignalProposal {
     Start(Vec<f64>),
     Move(Move),
 }
 
-impl Signals {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+impl SignalSearch {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let random = stream(seed, Purpose::Search, 0);
         Self { cube: cube.clone(), random, climbs: Climbs::default(), starts: 0, asked: Vec::new() }
     }
 
-    fn next(&mut self) -> Asked {
+    fn propose(&mut self) -> SignalProposal {
         if self.starts >= FIRST_POINTS
-            && !self.random.random_bool(SIMPLE)
+            && !self.random.random_bool(SIMPLE_SHARE)
             && let Some(proposal) = self.climbs.next(&self.cube, &mut self.random)
         {
-            return Asked::Move(proposal);
+            return SignalProposal::Move(proposal);
         }
         self.starts += 1;
-        Asked::Start(simple_point(&self.cube, &mut self.random))
+        SignalProposal::Start(sample_simple_point(&self.cube, &mut self.random))
     }
 }
 
-impl Search for Signals {
+impl Search for SignalSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
         self.asked = (0..BATCH).map(|_| self.next()).collect();
-        let point = |asked: &Asked| match asked {
-            Asked::Start(point) => point.clone(),
-            Asked::Move(proposal) => proposal.point.clone(),
+        let point = |asked: &SignalProposal| match asked {
+            SignalProposal::Start(point) => point.clone(),
+            SignalProposal::Move(proposal) => proposal.point.clone(),
         };
         self.asked.iter().map(point).collect()
     }
@@ -63,8 +63,8 @@ impl Search for Signals {
         let asked = std::mem::take(&mut self.asked);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
             match asked {
-                Asked::Start(point) => self.climbs.start(point, value),
-                Asked::Move(proposal) => self.climbs.tell(proposal, value),
+                SignalProposal::Start(point) => self.climbs.start(point, value),
+                SignalProposal::Move(proposal) => self.climbs.tell(proposal, value),
             }
         }
     }

@@ -3,12 +3,12 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::Cube;
+use super::UnitCube;
 
 /// Variance of the noise relative to that of the signal: near points with unlike values must not bend the fit.
-const NOISE: f64 = 0.05;
+const NOISE_VARIANCE: f64 = 0.05;
 /// The metric is chosen anew when there are so many times as many points.
-const GROWTH: f64 = 1.25;
+const RESELECTION_GROWTH: f64 = 1.25;
 
 /// Kriging (a Gaussian process) with the Matérn 5/2 kernel through the ranks of earlier values, its metric chosen by
 /// likelihood (Rasmussen and Williams, Gaussian processes for machine learning, 2006, equations 2.25, 2.30 and 4.17).
@@ -16,7 +16,7 @@ const GROWTH: f64 = 1.25;
 /// Ranks, since robustness jumps and has outliers, while only order matters for choosing among candidates.
 #[derive(Debug)]
 pub(super) struct Surrogate {
-    cube: Cube,
+    cube: UnitCube,
     metric: Metric,
     features: Vec<Vec<f64>>,
     weights: DVector<f64>,
@@ -24,7 +24,7 @@ pub(super) struct Surrogate {
 
 /// The metric in use, kept from fit to fit.
 #[derive(Debug, Default)]
-pub(super) struct Chosen {
+pub(super) struct MetricSelection {
     metric: Metric,
     points: usize,
 }
@@ -36,58 +36,58 @@ pub(super) struct Chosen {
 /// play no part. Whether either holds is for the data to say.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Metric {
-    reading: Reading,
+    signal_feature: SignalFeature,
     /// Of each signal only the first 2^(-horizon/2) counts.
     horizon: i32,
-    /// The characteristic length is 1.6^length times [`SHORTEST`].
-    length: i32,
+    /// The characteristic length is 1.6^length times [`MIN_LENGTH_SCALE`].
+    length_exponent: i32,
 }
 
 /// What of a signal is compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Reading {
+enum SignalFeature {
     Values,
     Integral,
     Both,
 }
 
-const READINGS: [Reading; 3] = [Reading::Values, Reading::Integral, Reading::Both];
-const HORIZONS: i32 = 7;
-const LENGTHS: i32 = 9;
+const SIGNAL_FEATURES: [SignalFeature; 3] = [SignalFeature::Values, SignalFeature::Integral, SignalFeature::Both];
+const HORIZON_COUNT: i32 = 7;
+const LENGTH_COUNT: i32 = 9;
 /// In parts of the diagonal of a cube with a coordinate for each block.
-const SHORTEST: f64 = 0.15;
+const MIN_LENGTH_SCALE: f64 = 0.15;
 
 impl Default for Metric {
     fn default() -> Self {
-        Self { reading: Reading::Both, horizon: 0, length: 2 }
+        Self { reading: SignalFeature::Both, horizon: 0, length: 2 }
     }
 }
 
 impl Metric {
     /// All that differ in a cube: without signals, only the length counts.
-    fn all(cube: &Cube) -> impl Iterator<Item = Self> {
+    fn candidates(cube: &UnitCube) -> impl Iterator<Item = Self> {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
-        let (readings, horizons) = if signals { (READINGS.len(), HORIZONS) } else { (1, 1) };
-        READINGS.into_iter().take(readings).flat_map(move |reading| {
-            (0..horizons).flat_map(move |horizon| (0..LENGTHS).map(move |length| Self { reading, horizon, length }))
+        let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZONS) } else { (1, 1) };
+        SIGNAL_FEATURES.into_iter().take(readings).flat_map(move |reading| {
+            (0..horizons).flat_map(move |horizon| (0..LENGTH_COUNT).map(move |length| Self { reading, horizon, length }))
         })
     }
 
-    fn length(self, cube: &Cube) -> f64 {
-        SHORTEST * 1.6_f64.powi(self.length) * (cube.blocks().len() as f64).sqrt()
+    fn length_scale(self, cube: &UnitCube) -> f64 {
+        MIN_LENGTH_SCALE * 1.6_f64.powi(self.length) * (cube.blocks().len() as f64).sqrt()
     }
 
     /// Coordinates whose Euclidean distance is that of the metric; every block weighs as much as a number.
-    fn features(self, cube: &Cube, point: &[f64]) -> Vec<f64> {
+    fn features(self, cube: &UnitCube, point: &[f64]) -> Vec<f64> {
         let mut features = Vec::new();
         for block in cube.blocks() {
             let share = if block.len() == 1 { 1.0 } else { 0.5_f64.powf(0.5 * f64::from(self.horizon)) };
             let pieces = (block.len() as f64 * share).ceil();
             let values = point.get(block.clone()).unwrap_or_default().iter().take(pieces as usize);
-            if self.reading != Reading::Integral || block.len() == 1 {
+            if self.reading != SignalFeature::Integral || block.len() == 1 {
                 features.extend(values.clone().map(|value| value / pieces.sqrt()));
             }
-            if self.reading != Reading::Values && block.len() > 1 {
+            if self.reading != SignalFeature::Values && block.len() > 1 {
                 let mut integral = 0.0;
                 features.extend(values.map(|value| {
                     integral += value / pieces;
@@ -102,27 +102,27 @@ impl Metric {
 impl Surrogate {
     /// A fit to points of the cube and their values, the last ones of `known`; none if there are too few or the numbers do
     /// not allow it.
-    pub(super) fn fit(cube: &Cube, data: &[(Vec<f64>, f64)], known: usize, chosen: &mut Chosen) -> Option<Self> {
+    pub(super) fn fit(cube: &UnitCube, data: &[(Vec<f64>, f64)], known: usize, chosen: &mut MetricSelection) -> Option<Self> {
         if data.is_empty() {
             return None;
         }
         let scores = DVector::from_vec(scores(data));
-        if known as f64 >= GROWTH * chosen.points as f64 {
+        if known as f64 >= RESELECTION_GROWTH * chosen.points as f64 {
             let metrics: Vec<Metric> = Metric::all(cube).collect();
             // Each fit is made alone, and the choice among them in their order: threads change nothing.
-            let fits = metrics.into_par_iter().map(|metric| Self::with_metric(cube, data, &scores, metric));
+            let fits = metrics.into_par_iter().map(|metric| Self::fit_with_metric(cube, data, &scores, metric));
             let fits: Vec<_> = fits.collect();
             let fits = fits.into_iter().flatten().filter(|(likelihood, _)| !likelihood.is_nan());
             let (_, likeliest) = fits.max_by(|a, b| a.0.total_cmp(&b.0))?;
-            *chosen = Chosen { metric: likeliest.metric, points: known };
+            *chosen = MetricSelection { metric: likeliest.metric, points: known };
             return Some(likeliest);
         }
-        Self::with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
+        Self::fit_with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
     }
 
     /// A fit and its logarithmic likelihood.
-    fn with_metric(
-        cube: &Cube,
+    fn fit_with_metric(
+        cube: &UnitCube,
         data: &[(Vec<f64>, f64)],
         scores: &DVector<f64>,
         metric: Metric,
@@ -132,7 +132,7 @@ impl Surrogate {
         let n = features.len();
         // The factorisation reads the lower triangle only.
         let covariance = DMatrix::from_fn(n, n, |i, j| match (features.get(i), features.get(j)) {
-            (Some(a), Some(b)) if j <= i => matern(square_distance(a, b), length) + if i == j { NOISE } else { 0.0 },
+            (Some(a), Some(b)) if j <= i => matern(square_distance(a, b), length) + if i == j { NOISE_VARIANCE } else { 0.0 },
             _ => 0.0,
         });
         let factor = Cholesky::<f64, Dyn>::new(covariance)?;
@@ -179,20 +179,20 @@ mod tests {
 
     #[test]
     fn finds_out_that_only_the_early_integral_counts() {
-        let cube = Cube::new([10, 10]).unwrap();
+        let cube = UnitCube::new([10, 10]).unwrap();
         let mut search = Method::Uniform.start(&cube, 5);
         let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask()).flatten().take(90).collect();
         // Distance after three pieces of acceleration.
         let value = |point: &Vec<f64>| 3.0 * point[0] + 2.0 * point[1] + point[2];
         let data: Vec<_> = points.iter().map(|point| (point.clone(), value(point))).collect();
         let (known, unknown) = data.split_at(60);
-        let mut chosen = Chosen::default();
+        let mut chosen = MetricSelection::default();
         let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
-        assert!(chosen.metric.horizon > 0 && chosen.metric.reading != Reading::Values, "{chosen:?}");
+        assert!(chosen.metric.horizon > 0 && chosen.metric.reading != SignalFeature::Values, "{chosen:?}");
 
-        let plain = Metric::all(&cube).filter(|metric| metric.horizon == 0 && metric.reading == Reading::Values);
+        let plain = Metric::all(&cube).filter(|metric| metric.horizon == 0 && metric.reading == SignalFeature::Values);
         let scores = DVector::from_vec(scores(known));
-        let plain = plain.filter_map(|metric| Surrogate::with_metric(&cube, known, &scores, metric));
+        let plain = plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let pairs = || unknown.iter().flat_map(|a| unknown.iter().map(move |b| (a, b))).filter(|(a, b)| a.1 < b.1);
         let wrong = |fit: &Surrogate| pairs().filter(|(a, b)| fit.score(&a.0) >= fit.score(&b.0)).count();

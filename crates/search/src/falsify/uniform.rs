@@ -2,25 +2,25 @@
 
 use rand::RngExt;
 
-use super::{Cube, Search};
+use super::{UnitCube, Search};
 use crumple_world::random::{Purpose, Stream, stream};
 
-const BATCH: usize = 32;
+const BATCH_SIZE: usize = 32;
 
 /// Independent uniform points.
 #[derive(Debug)]
-pub(super) struct Uniform {
+pub(super) struct UniformSearch {
     random: Stream,
     dimension: usize,
 }
 
-impl Uniform {
-    pub(super) fn new(cube: &Cube, seed: u64) -> Self {
+impl UniformSearch {
+    pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         Self { random: stream(seed, Purpose::Search, 0), dimension: cube.dimension() }
     }
 
     /// What follows so many points. The stream cannot leap over them; it takes a nanosecond a coordinate.
-    pub(super) fn after(mut self, points: u64) -> Self {
+    pub(super) fn skip_points(mut self, points: u64) -> Self {
         for _ in 0..points {
             for _ in 0..self.dimension {
                 let _: f64 = self.random.random();
@@ -30,7 +30,7 @@ impl Uniform {
     }
 }
 
-impl Search for Uniform {
+impl Search for UniformSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         (0..BATCH).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
     }

@@ -1,6 +1,6 @@
 //! How little lead braking makes a controller collide, and how badly it can end.
 
-use super::bench::Bench;
+use super::profile_simulator::ProfileSimulator;
 use super::exact;
 use super::sequential;
 use crumple_core::observer::{Observer, Progress, Stopped};
@@ -11,7 +11,7 @@ use crumple_world::sim::{ControllerKind, Outcome, RunError, RunOptions};
 /// What an attack is after.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Aim {
+pub enum AttackObjective {
     /// A collision with the least ∫ a² of the leader.
     Mildest,
     /// A collision with the least peak of its braking.
@@ -20,7 +20,7 @@ pub enum Aim {
     Severest,
 }
 
-impl Aim {
+impl AttackObjective {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Mildest, Self::LeastPeak, Self::Severest];
 
@@ -47,12 +47,12 @@ pub struct Envelope {
 
 impl Envelope {
     /// Fastest change of acceleration unless another is asked for, in m/s³: an emergency braking builds up in about a second.
-    pub const JERK_MPS3: f64 = 10.0;
+    pub const DEFAULT_JERK_MPS3: f64 = 10.0;
 
     /// All the braking the leader has on this road.
     #[must_use]
-    pub fn of(scenario: &Scenario) -> Self {
-        Self { max_brake_mps2: scenario.usable_brake_mps2(0), jerk_mps3: Self::JERK_MPS3 }
+    pub fn from_scenario(scenario: &Scenario) -> Self {
+        Self { max_brake_mps2: scenario.usable_brake_mps2(0), jerk_mps3: Self::DEFAULT_JERK_MPS3 }
     }
 }
 
@@ -108,7 +108,7 @@ pub struct Attack {
 #[derive(Debug, Clone, PartialEq)]
 pub struct AttackResult {
     /// The profile, if one makes the controller collide.
-    pub found: Option<Attack>,
+    pub attack: Option<Attack>,
     /// Simulations spent.
     pub evaluations: usize,
     /// Convex programs solved.
@@ -121,13 +121,13 @@ pub struct AttackResult {
 pub enum AttackError {
     /// The leader is not scripted, so there is nothing to vary.
     #[error("vehicle 0 does not follow a script, so it has no profile to vary")]
-    Leader,
+    LeaderNotScripted,
     /// Who is ahead of whom changes, which the programs do not model.
     #[error("vehicles enter or leave the lane: search such scenarios with falsify")]
     LaneChanges,
     /// The envelope is empty.
     #[error("an envelope of {max_brake_mps2} m/s² and {jerk_mps3} m/s³ allows no braking")]
-    Envelope {
+    EmptyEnvelope {
         /// Its hardest braking, in m/s².
         max_brake_mps2: f64,
         /// Its jerk, in m/s³.
@@ -147,9 +147,9 @@ pub enum AttackError {
     #[error(
         "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: at most {MOST_VEHICLE_STEPS_IN_ALL} vehicles \
          times steps in all, so {} here",
-        MOST_VEHICLE_STEPS_IN_ALL / vehicles.saturating_mul(*steps).max(1)
+        MAX_TOTAL_VEHICLE_STEPS / vehicles.saturating_mul(*steps).max(1)
     )]
-    TooMany {
+    TooManySimulations {
         /// Simulations asked for.
         budget: usize,
         /// Vehicles of the scenario.
@@ -169,10 +169,10 @@ pub enum AttackError {
 }
 
 /// Most vehicles times steps of a scenario that [`attack()`] takes on: a simulation then takes some hundredths of a second.
-pub const MOST_VEHICLE_STEPS: usize = 500_000;
+pub const MAX_VEHICLE_STEPS: usize = 500_000;
 
 /// Most vehicles times steps of all simulations of an [`attack()`] together: some minutes of one core.
-pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
+pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 
 /// Searches for a braking profile of the leader that makes the controller collide, with about `budget` simulations at most.
 ///
@@ -200,7 +200,7 @@ pub const MOST_VEHICLE_STEPS_IN_ALL: usize = 20_000_000_000;
 pub fn attack(
     scenario: &Scenario,
     options: &RunOptions,
-    aim: Aim,
+    aim: AttackObjective,
     envelope: Envelope,
     budget: usize,
     observer: &dyn Observer<Progress>,
@@ -215,7 +215,7 @@ pub fn attack(
     if vehicles.saturating_mul(steps) > MOST_VEHICLE_STEPS {
         return Err(AttackError::TooLarge { vehicles, steps });
     }
-    if vehicles.saturating_mul(steps).saturating_mul(budget) > MOST_VEHICLE_STEPS_IN_ALL {
+    if vehicles.saturating_mul(steps).saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
         return Err(AttackError::TooMany { budget, vehicles, steps });
     }
     let asked_mps2 = envelope.max_brake_mps2;
@@ -223,11 +223,11 @@ pub fn attack(
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
         return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
-    let mut bench = Bench::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
+    let mut bench = ProfileSimulator::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
     // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
-    let found = if aim != Aim::Severest
+    let found = if aim != AttackObjective::Severest
         && let ControllerKind::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
         && exact::applies(scenario)
     {

@@ -3,14 +3,14 @@
 use crumple_verify::{Accepted, Certificate, Statement};
 
 use super::avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-use super::branches::Search;
+use super::firing_search::Search;
 use super::certificate;
 use super::closed_loop::{self, Effort};
-use super::family::Family;
-use super::program::{Grid, Objective};
+use super::scenario_box::Family;
+use super::program::{Grid, EscapeObjective};
 use super::reason::Reason;
-use super::situation::Situation;
-use super::witness::{Escape, each_step_mps2};
+use super::avoidance_problem::Situation;
+use super::escape::{Escape, each_step_mps2};
 use crumple_world::scenario::{Scenario, whole_multiple};
 
 /// How to search for an escape.
@@ -45,7 +45,7 @@ pub enum EscapeKind {
 impl EscapeKind {
     /// In what sense the escape is the best, in words.
     #[must_use]
-    pub fn is_best_for(self) -> &'static str {
+    pub fn optimality_description(self) -> &'static str {
         match self {
             Self::LargestGap => "the largest smallest gap found on this grid, whenever the brake behind fires",
             Self::Gentlest => {
@@ -84,19 +84,19 @@ pub enum AvoidError {
 }
 
 /// Most vehicles under test that [`avoid()`] takes on.
-pub const MOST_EGOS: usize = 20;
+pub const MAX_EGOS: usize = 20;
 
 /// Most vehicles under test times steps that [`avoid()`] takes on: where nothing can be decided, some two minutes and 150 MB.
-pub const MOST_EGO_STEPS: usize = 50_000;
+pub const MAX_EGO_STEPS: usize = 50_000;
 
 /// Most programs on the finest grid.
-const MOST_FINE: usize = 64;
+const MAX_FINE_PROGRAMS: usize = 64;
 /// Most programs on each coarser one.
-const MOST_COARSE: usize = 64;
+const MAX_COARSE_PROGRAMS: usize = 64;
 /// Firings that their own program on the finest grid neither escapes nor closes, after which the search gives up. One of
 /// them already rules out a proof, which has to close every firing; the next most promising ones may still hold an escape,
 /// but a program there takes a third of a second, and where an ego answers late none of the firings may ever close.
-const MOST_OPEN_ENDS: usize = 8;
+const MAX_OPEN_FIRINGS: usize = 8;
 
 /// Decides whether the vehicles under test could have avoided a collision, and by how much.
 ///
@@ -119,8 +119,8 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
-pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let Solved { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solved(family, options)?;
+pub fn avoid_box(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solved(family, options)?;
     let is_open = match &found.verdict {
         AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == Effort::Optimise,
         AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
@@ -151,10 +151,10 @@ pub fn avoid_all(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
 }
 
 /// Gaps that differ by less count as equal, in metres.
-const EQUAL_M: f64 = 0.01;
+const GAP_TOLERANCE_M: f64 = 0.01;
 
 fn optimality(family: &Family, found: &Avoidance) -> Optimality {
-    let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - EQUAL_M);
+    let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - GAP_TOLERANCE_M);
     if found.min_gap_bound_m.is_some_and(reaches) {
         Optimality::Bound
     } else if family.is_point() && reaches(closed_loop::initial_gap_m(family.centre())) {
@@ -165,7 +165,7 @@ fn optimality(family: &Family, found: &Avoidance) -> Optimality {
 }
 
 /// Result of the programs.
-struct Solved {
+struct ProgramResult {
     avoidance: Avoidance,
     /// The best profile of the programs, one acceleration a step.
     profile_mps2: Option<Vec<Vec<f64>>>,
@@ -176,7 +176,7 @@ struct Solved {
 }
 
 /// Solves the programs.
-fn solved(family: &Family, options: AvoidOptions) -> Result<Solved, AvoidError> {
+fn solve_programs(family: &Family, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
     let (cells, first) = cells(family.centre(), options)?;
     check_size(family.centre())?;
     let situation = match Situation::new(family) {
@@ -190,12 +190,12 @@ fn solved(family: &Family, options: AvoidOptions) -> Result<Solved, AvoidError> 
                 programs: 0,
                 optimality: Optimality::BestFound,
             };
-            return Ok(Solved { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
+            return Ok(ProgramResult { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
         }
     };
     let mut search = Search::new(&situation);
     let avoidance = explored(family, &situation, &mut search, options, &cells, first);
-    Ok(Solved {
+    Ok(ProgramResult {
         // Noise may carry a vehicle beyond a bound that was computed without it.
         bound_m: if situation.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
         profile_mps2: search.best.as_ref().map(|best| each_step_mps2(&situation, best)),
@@ -204,7 +204,7 @@ fn solved(family: &Family, options: AvoidOptions) -> Result<Solved, AvoidError> 
     })
 }
 
-fn explored(
+fn explore_grids(
     family: &Family,
     situation: &Situation,
     search: &mut Search<'_>,
@@ -215,7 +215,7 @@ fn explored(
     let mut undecided = None;
     for (index, &cell) in cells.iter().enumerate() {
         let is_last = index + 1 == cells.len();
-        let (most, open_ends) = if is_last { (MOST_FINE, MOST_OPEN_ENDS) } else { (MOST_COARSE, MOST_COARSE) };
+        let (most, open_ends) = if is_last { (MAX_FINE_PROGRAMS, MAX_OPEN_FIRINGS) } else { (MAX_COARSE_PROGRAMS, MAX_COARSE_PROGRAMS) };
         search.explore(&Grid::new(situation, cell), most, open_ends);
         if index < first && search.bound_m() >= 0.0 {
             continue;
@@ -234,7 +234,7 @@ fn explored(
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
     let egos = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).count();
     let steps = scenario.steps();
-    match egos <= MOST_EGOS && egos.saturating_mul(steps) <= MOST_EGO_STEPS {
+    match egos <= MOST_EGOS && egos.saturating_mul(steps) <= MAX_EGO_STEPS {
         true => Ok(()),
         false => Err(AvoidError::TooLarge { egos, steps }),
     }
@@ -243,7 +243,7 @@ fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
 /// A verdict, and the largest smallest gap of a replayed escape.
 type Conclusion = (AvoidanceVerdict, Option<f64>);
 
-fn found(
+fn build_avoidance(
     family: &Family,
     situation: &Situation,
     search: &Search<'_>,
@@ -273,17 +273,17 @@ fn found(
 }
 
 /// A certified bound may be above the computed one by this much, in metres, so that short multipliers are enough.
-const ROOM_M: f64 = 1e-4;
+const CERTIFICATE_SLACK_M: f64 = 1e-4;
 
 /// A bound that the checker accepts, and its certificate.
-fn certified(
+fn certify_bound(
     family: &Family,
     situation: &Situation,
     search: &Search<'_>,
     computed_m: f64,
 ) -> Option<(f64, Box<Certificate>)> {
     let stating = |gap_m| certificate::gap_bound(family.centre(), situation, search, gap_m).ok()?;
-    let mut certificate = stating(computed_m + ROOM_M)?;
+    let mut certificate = stating(computed_m + CERTIFICATE_SLACK_M)?;
     let Ok(Accepted::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
     if let Statement::GapBound(claim) = &mut certificate.statement {
         claim.gap_m = gap_m;
@@ -295,7 +295,7 @@ fn certified(
 /// The control grids to try, in steps, coarse before fine, and which of them is the first that may give the answer.
 ///
 /// A coarse grid costs a tenth of a fine one and leaves bounds that hold on every grid.
-fn cells(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
+fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usize>, usize), AvoidError> {
     let step_s = scenario.spec().step_s;
     let coarse = (0.1 / step_s).round().max(1.0) as usize;
     let wanted = match options.grid_s {
@@ -322,8 +322,8 @@ fn conclude(
         }
         let smoothed = match kind {
             EscapeKind::LargestGap => None,
-            EscapeKind::Gentlest => search.smoothed(best, Objective::GentlestEscape),
-            EscapeKind::LeastJerk => search.smoothed(best, Objective::LeastJerk),
+            EscapeKind::Gentlest => search.smoothed(best, EscapeObjective::GentlestEscape),
+            EscapeKind::LeastJerk => search.smoothed(best, EscapeObjective::LeastJerk),
         };
         let replay = |profile| Escape::replay(family.centre(), situation, profile);
         let largest = replay(best);

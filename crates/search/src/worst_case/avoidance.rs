@@ -3,7 +3,7 @@
 use crumple_verify::Certificate;
 
 use super::reason::Reason;
-use super::witness::Escape;
+use super::escape::Escape;
 
 /// Result of an analysis of avoidability.
 #[derive(Debug, Clone, PartialEq)]

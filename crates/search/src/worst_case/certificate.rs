@@ -5,16 +5,16 @@ use crumple_verify::{
     Unavoidable,
 };
 
-use super::branches::Search;
-use super::family::Family;
-use super::multipliers::{Multipliers, Proof, SURELY, Weighted};
+use super::firing_search::Search;
+use super::scenario_box::Family;
+use super::multipliers::{Multipliers, Proof, ROUNDING_MARGIN, WeightedInstant};
 use super::reason::Reason;
-use super::situation::Situation;
+use super::avoidance_problem::Situation;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
 /// The scene that a certificate about a situation speaks of.
-fn scene(situation: &Situation) -> Scene {
+fn build_scene(situation: &Situation) -> Scene {
     let Situation { leader, egos, follower, .. } = situation;
     Scene {
         step_s: situation.step_s,
@@ -73,7 +73,7 @@ pub(super) fn gap_bound(
     wrapped(scenario, situation, Statement::GapBound(statement)).map(Some)
 }
 
-fn wrapped(scenario: &Scenario, situation: &Situation, statement: Statement) -> Result<Certificate, Reason> {
+fn wrap_statement(scenario: &Scenario, situation: &Situation, statement: Statement) -> Result<Certificate, Reason> {
     let unwritable = |error: toml::ser::Error| Reason::Unwritable { why: error.to_string() };
     let text = file::to_toml(scenario).map_err(unwritable)?;
     let ranges = situation.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
@@ -90,7 +90,7 @@ fn relies_on_noise(scenario: &Scenario) -> bool {
 /// A statement as a certificate of this program, with the assumptions it needs: about a scenario or space with this name and
 /// text, and perhaps a box around it.
 #[must_use]
-pub fn certificate_about(
+pub fn build_certificate(
     scenario: String,
     scenario_text: Option<String>,
     box_text: Option<String>,
@@ -111,9 +111,9 @@ pub fn certificate_about(
 ///
 /// Multipliers that do not use the firing prove nothing but overlap with the follower's motion, and a follower that brakes
 /// later is further ahead: they close all later firings too.
-fn branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Vec<Branch>> {
+fn closing_branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Vec<Branch>> {
     let never = situation.never();
-    let closes = |proof: &Proof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > SURELY;
+    let closes = |proof: &Proof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
     let earliest = |proof: &Proof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
@@ -135,7 +135,7 @@ fn branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Ve
             branches.push(branch(situation, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
-            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::of_standing(situation, firing, spacing));
+            let standing = [100, 20, 5, 1].map(|spacing| Multipliers::for_standstill(situation, firing, spacing));
             let mut standing = standing.into_iter().map(|multipliers| Proof::new(situation, multipliers));
             let proof = standing.find(|proof| closes(proof, firing, true))?;
             branches.push(branch(situation, &proof, [firing, firing], true, gap_m));
@@ -147,12 +147,12 @@ fn branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Ve
 }
 
 /// A branch with multipliers as short as the proof survives.
-fn branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
+fn build_branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
     let exact = proof.multipliers(fired);
     let short = rounded(&exact);
-    let holds = Proof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > SURELY;
+    let holds = Proof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > ROUNDING_MARGIN;
     let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
-    let rows = |list: Vec<Weighted>| list.into_iter().map(|(step, value)| (count(step), value)).collect();
+    let rows = |list: Vec<WeightedInstant>| list.into_iter().map(|(step, value)| (count(step), value)).collect();
     Branch {
         first: count(first),
         last: count(last),
@@ -166,7 +166,7 @@ fn branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired
 }
 
 /// Multipliers with 20 bits and without those that hardly count.
-fn rounded(multipliers: &Multipliers) -> Multipliers {
+fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
     let mut short = multipliers.clone();
     let lists = [&mut short.front, &mut short.rear].into_iter().chain(&mut short.between).chain(&mut short.speed);
     const UNIT: f64 = (1_u64 << 20) as f64;
@@ -182,19 +182,19 @@ fn rounded(multipliers: &Multipliers) -> Multipliers {
 }
 
 /// Equal neighbours as one entry.
-fn held<T: Copy + PartialEq>(each: &[T]) -> Vec<Held<T>> {
+fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<Held<T>> {
     each.chunk_by(|a, b| a == b).filter_map(|run| Some(Held(count(run.len()), *run.first()?))).collect()
 }
 
 /// A number of steps as the file holds it; scenarios have far fewer than that.
-fn count(steps: usize) -> u32 {
+fn step_count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
 /// Whether a certificate's claim is about a scenario: the same scene or a box that holds it, whatever the file says of its origin,
 /// nothing in the scenario that the claim does not model, and noise only if it says that it relies on its seed.
 #[must_use]
-pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
+pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
     let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
     let covers = |claimed: &Scene| covers(claimed, &scene(&situation));
     models(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
@@ -202,13 +202,13 @@ pub fn is_about(certificate: &Certificate, scenario: &Scenario) -> bool {
 
 /// Whether a certificate's claim is about exactly this family: no other scene and no smaller or larger box.
 #[must_use]
-pub fn is_exactly(certificate: &Certificate, family: &Family) -> bool {
+pub fn matches_box(certificate: &Certificate, family: &Family) -> bool {
     let Ok(situation) = Situation::new(family) else { return false };
     models(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&scene(&situation))
 }
 
 /// Whether there is nothing in a scenario that the claim does not model.
-fn models(certificate: &Certificate, scenario: &Scenario, situation: &Situation) -> bool {
+fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &Situation) -> bool {
     if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
         return false;
     }
@@ -216,7 +216,7 @@ fn models(certificate: &Certificate, scenario: &Scenario, situation: &Situation)
         // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
         Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
-            let waits = |(ego, witness): (&super::situation::Ego, &Vec<Held<f64>>)| {
+            let waits = |(ego, witness): (&super::avoidance_problem::Ego, &Vec<Held<f64>>)| {
                 let held = witness.iter().flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize));
                 held.take(ego.dead_steps).all(|value| value == 0.0)
             };

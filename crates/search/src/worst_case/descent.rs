@@ -1,13 +1,13 @@
 //! Steps of sequential convex programming: a function linearised by finite differences, and where it is lowest near by.
 //!
-//! A [`Descent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
+//! A [`TrustRegionDescent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
 //! an attack on one scenario and a search that shares a budget with others take the same steps.
 
 use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// What the variables may be.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Limits {
+pub(crate) struct VariableBounds {
     /// The least of each.
     pub(crate) low: f64,
     /// The most of each.
@@ -16,23 +16,23 @@ pub(crate) struct Limits {
 
 /// How a descent goes.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Pace {
+pub(crate) struct StepSchedule {
     /// Change of a variable for a finite difference.
-    pub(crate) nudge: f64,
+    pub(crate) finite_difference: f64,
     /// The trust region at first, and where the descent gives up.
-    pub(crate) region: [f64; 2],
+    pub(crate) trust_region: [f64; 2],
 }
 
 /// Growth of the trust region after a step that was a success, and after one that was not.
-pub(super) const REGION_FACTORS: [f64; 2] = [1.5, 0.4];
+pub(super) const TRUST_REGION_FACTORS: [f64; 2] = [1.5, 0.4];
 /// A step that lowers the value by less is no success.
-const WORTH: f64 = 1e-6;
+const MIN_GAIN: f64 = 1e-6;
 /// Cost of the square of a variable beside its slope.
-const IDLE_WEIGHT: f64 = 1e-4;
+const REGULARIZATION_WEIGHT: f64 = 1e-4;
 
-impl Limits {
+impl VariableBounds {
     /// The rows of a step from a point inside a trust region: the first variables of the program are the new values.
-    pub(super) fn rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
+    pub(super) fn add_step_rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
         for (index, &now) in at.iter().enumerate() {
             cone.at_most(&[(index, 1.0)], (now + region).min(self.high));
             cone.at_most(&[(index, -1.0)], (region - now).min(-self.low));
@@ -40,7 +40,7 @@ impl Limits {
     }
 
     /// The first variables of a solution; none if there is no solution.
-    pub(super) fn solution(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
+    pub(super) fn solve_clamped(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
         let Solved::Optimal { at, .. } = cone.solve() else { return None };
         let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
         inside.iter().all(|value| value.is_finite()).then_some(inside)
@@ -48,7 +48,7 @@ impl Limits {
 
     /// Each variable changed for a finite difference, and by how much: towards the middle, so that every change has an
     /// effect.
-    pub(super) fn nudged(&self, at: &[f64], nudge: f64) -> (Vec<f64>, Vec<Vec<f64>>) {
+    pub(super) fn perturb(&self, at: &[f64], nudge: f64) -> (Vec<f64>, Vec<Vec<f64>>) {
         let middle = 0.5 * (self.low + self.high);
         let one = |(index, &now): (usize, &f64)| {
             let by = if now > middle { -nudge } else { nudge };
@@ -60,39 +60,39 @@ impl Limits {
 }
 
 /// The differences of values to that at a point, as slopes; what cannot be compared has none.
-pub(super) fn slopes(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
+pub(super) fn finite_difference_gradient(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
     let slope = |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
     nudged.iter().zip(by).map(|pair| slope(pair).unwrap_or(0.0)).collect()
 }
 
 /// A descent by trust region.
 #[derive(Debug)]
-pub(crate) struct Descent {
-    limits: Limits,
-    pace: Pace,
-    region: f64,
-    at: Vec<f64>,
+pub(crate) struct TrustRegionDescent {
+    bounds: VariableBounds,
+    schedule: StepSchedule,
+    trust_region: f64,
+    point: Vec<f64>,
     value: f64,
-    slope: Option<Vec<f64>>,
-    asked: Asked,
+    gradient: Option<Vec<f64>>,
+    pending: PendingRequest,
 }
 
 #[derive(Debug)]
-enum Asked {
+enum PendingRequest {
     Nothing,
     /// By how much each variable was changed.
-    Slope(Vec<f64>),
+    Gradient(Vec<f64>),
     Step(Vec<f64>),
 }
 
-impl Descent {
+impl TrustRegionDescent {
     /// From a point and the value there.
-    pub(crate) fn new(limits: Limits, pace: Pace, at: Vec<f64>, value: f64) -> Self {
-        Self { limits, pace, region: pace.region[0], at, value, slope: None, asked: Asked::Nothing }
+    pub(crate) fn new(limits: VariableBounds, pace: StepSchedule, at: Vec<f64>, value: f64) -> Self {
+        Self { limits, pace, region: pace.region[0], at, value, slope: None, asked: PendingRequest::Nothing }
     }
 
     /// Where it is.
-    pub(crate) fn at(&self) -> &[f64] {
+    pub(crate) fn point(&self) -> &[f64] {
         &self.at
     }
 
@@ -105,20 +105,20 @@ impl Descent {
     pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
         let Some(slope) = &self.slope else {
             let (by, nudged) = self.limits.nudged(&self.at, self.pace.nudge);
-            self.asked = Asked::Slope(by);
+            self.asked = PendingRequest::Slope(by);
             return nudged;
         };
         let is_over = self.region <= self.pace.region[1] || slope.iter().all(|slope| *slope == 0.0);
         let step = if is_over { None } else { self.step(slope) };
-        self.asked = step.clone().map_or(Asked::Nothing, Asked::Step);
+        self.asked = step.clone().map_or(PendingRequest::Nothing, PendingRequest::Step);
         step.into_iter().collect()
     }
 
     /// The values of what was asked for last; where there are fewer, it goes on as if it had not asked.
     pub(crate) fn tell(&mut self, values: &[f64]) {
-        match std::mem::replace(&mut self.asked, Asked::Nothing) {
-            Asked::Slope(by) if values.len() == by.len() => self.slope = Some(slopes(self.value, values, &by)),
-            Asked::Step(at) => {
+        match std::mem::replace(&mut self.asked, PendingRequest::Nothing) {
+            PendingRequest::Slope(by) if values.len() == by.len() => self.slope = Some(slopes(self.value, values, &by)),
+            PendingRequest::Step(at) => {
                 let Some(&value) = values.first() else { return };
                 let [success, failure] = REGION_FACTORS;
                 if value < self.value - WORTH {
@@ -128,7 +128,7 @@ impl Descent {
                     self.region *= failure;
                 }
             }
-            Asked::Slope(_) | Asked::Nothing => {}
+            PendingRequest::Slope(_) | PendingRequest::Nothing => {}
         }
     }
 
@@ -153,11 +153,11 @@ mod tests {
     fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
         // Lowest at (0.2, 0.9); the third variable has no say and stays.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
-        let limits = Limits { low: 0.0, high: 0.9 };
-        let pace = Pace { nudge: 1e-3, region: [0.25, 1e-4] };
+        let limits = VariableBounds { low: 0.0, high: 0.9 };
+        let pace = StepSchedule { nudge: 1e-3, region: [0.25, 1e-4] };
         let start = vec![0.6, 0.1, 0.3];
         let first = value(&start);
-        let mut descent = Descent::new(limits, pace, start, first);
+        let mut descent = TrustRegionDescent::new(limits, pace, start, first);
         for _ in 0..200 {
             let asked = descent.ask();
             assert!(asked.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
@@ -172,10 +172,10 @@ mod tests {
 
     #[test]
     fn what_cannot_be_compared_ends_it() {
-        let limits = Limits { low: 0.0, high: 1.0 };
-        let pace = Pace { nudge: 0.01, region: [0.25, 0.01] };
+        let limits = VariableBounds { low: 0.0, high: 1.0 };
+        let pace = StepSchedule { nudge: 0.01, region: [0.25, 0.01] };
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            let mut descent = Descent::new(limits, pace, vec![0.5, 0.5], strange);
+            let mut descent = TrustRegionDescent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);
             let asked = descent.ask();
             descent.tell(&vec![strange; asked.len()]);

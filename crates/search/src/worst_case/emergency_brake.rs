@@ -15,14 +15,14 @@ pub enum EmergencyBrake {
         time_s: f64,
     },
     /// None fires; perhaps there is none.
-    Silent,
+    NeverFires,
     /// Some vehicle behind is driven by a controller that may have one, and none of which the threshold is known fires.
     Unknown,
 }
 
 impl EmergencyBrake {
     /// Reads a replay, from vehicle `behind` on.
-    pub(super) fn of(scenario: &Scenario, behind: usize, trace: &Trace) -> Self {
+    pub(super) fn from_trace(scenario: &Scenario, behind: usize, trace: &Trace) -> Self {
         let (mut first, mut is_known) = (None::<(f64, usize)>, true);
         for (vehicle, spec) in scenario.vehicles().iter().enumerate().skip(behind) {
             match Threshold::of(&spec.driver) {
@@ -51,7 +51,7 @@ enum Threshold {
 }
 
 impl Threshold {
-    fn of(driver: &Driver) -> Self {
+    fn from_driver(driver: &Driver) -> Self {
         match driver {
             Driver::Controller(
                 ControllerSpec::Baseline(AebSettings { ttc_s })
@@ -67,7 +67,7 @@ impl Threshold {
 }
 
 /// When the time to collision of a vehicle first falls below a threshold at an instant of decision, in seconds.
-fn fires_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
+fn firing_time_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
     // No decision is made at the last sample.
     let decisions = trace.len().saturating_sub(1);
     trace.pairs(vehicle).iter().find_map(|pair| {

@@ -3,26 +3,26 @@
 //! A profile has one acceleration a cell; a step changes it by a function that is linear between knots.
 
 use super::attack::Aim;
-use super::bench::Bench;
+use super::profile_simulator::ProfileSimulator;
 use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// Knots until a run ends, and after that.
-const KNOTS: [usize; 2] = [24, 3];
+const KNOT_COUNTS: [usize; 2] = [24, 3];
 /// Cost of the square of a change where the margin is the objective.
-const IDLE_WEIGHT: f64 = 1e-4;
+const REGULARIZATION_WEIGHT: f64 = 1e-4;
 /// Cost of a metre by which the margin misses its aim.
 const SHORTFALL_COST: f64 = 1e3;
 
 /// Changes that are linear between knots, at the middle of each cell.
-pub(super) struct Hats {
+pub(super) struct HatFunctions {
     /// The knots left and right of each cell and the share of the right one.
     shares: Vec<(usize, f64)>,
     knots: usize,
 }
 
-impl Hats {
+impl HatFunctions {
     /// Knots at equal distances until `until_s`, moved by `phase` of a distance, and a few after it.
-    pub(super) fn new(bench: &Bench<'_>, until_s: f64, phase: f64) -> Self {
+    pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
         let all_s = bench.cells() as f64 * bench.cell_s();
         let until_s = until_s.min(all_s);
         let apart_s = (until_s / KNOTS[0] as f64).max(bench.cell_s());
@@ -49,7 +49,7 @@ impl Hats {
     }
 
     /// The profile with one knot changed, within the limits of the acceleration.
-    pub(super) fn moved(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
+    pub(super) fn perturb(&self, cells_mps2: &[f64], knot: usize, by_mps2: f64, most_mps2: f64) -> Vec<f64> {
         let held = |(cell, held): (usize, &f64)| {
             let weight: f64 =
                 self.terms(cell).iter().filter(|(index, _)| *index == knot).map(|(_, weight)| weight).sum();
@@ -80,25 +80,25 @@ pub(super) enum StepGoal {
     /// The least cost of a profile whose linearised margin is at most this, in metres, or near it.
     Cost {
         /// What costs: ∫ a² or the peak.
-        aim: Aim,
+        objective: Aim,
         margin_m: f64,
     },
 }
 
 /// Where a step begins, and how far it may go.
 pub(super) struct EnvelopeStep<'a> {
-    pub(super) from_mps2: &'a [f64],
+    pub(super) profile_mps2: &'a [f64],
     pub(super) margin_m: f64,
     /// Change of the margin with each knot, in s².
-    pub(super) slope: &'a [f64],
-    pub(super) hats: &'a Hats,
+    pub(super) gradient: &'a [f64],
+    pub(super) hats: &'a HatFunctions,
     /// Most change of a knot, in m/s².
-    pub(super) region: f64,
+    pub(super) trust_region_mps2: f64,
 }
 
 impl EnvelopeStep<'_> {
     /// The profile after the step, and its predicted margin in metres; none if the solver finds none.
-    pub(super) fn towards(&self, bench: &mut Bench<'_>, goal: StepGoal) -> Option<(Vec<f64>, f64)> {
+    pub(super) fn solve(&self, bench: &mut ProfileSimulator<'_>, goal: StepGoal) -> Option<(Vec<f64>, f64)> {
         bench.programs += 1;
         let knots = self.hats.knots;
         let (peak, short) = (knots, knots + 1);
@@ -132,7 +132,7 @@ impl EnvelopeStep<'_> {
     }
 
     /// Rows of the trust region, the limits and the jerk.
-    fn envelope(&self, bench: &Bench<'_>, program: &mut QuadraticProgram) {
+    fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
         let (region, most) = (self.region, bench.envelope.max_brake_mps2);
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
         for knot in 0..self.hats.knots {
@@ -170,7 +170,7 @@ impl EnvelopeStep<'_> {
     }
 
     /// Cost of the whole profile.
-    fn cost(&self, bench: &Bench<'_>, program: &mut QuadraticProgram, aim: Aim, peak: usize) {
+    fn add_cost(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram, aim: Aim, peak: usize) {
         // Of all profiles with the least peak, a mild one.
         let weight = if aim == Aim::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
         for (cell, &held) in self.from_mps2.iter().enumerate() {
@@ -190,7 +190,7 @@ impl EnvelopeStep<'_> {
     }
 
     /// The changed profile, exactly inside the envelope whatever the solver's tolerance is.
-    fn inside(&self, bench: &Bench<'_>, change: &[f64]) -> Vec<f64> {
+    fn apply_clamped(&self, bench: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;
         let held = |(cell, held): (usize, &f64)| {

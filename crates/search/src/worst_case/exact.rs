@@ -16,8 +16,8 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use super::attack::{Aim, Attack, AttackError, AttackMethod};
-use super::bench::{Bench, Trial};
-use super::lead::{Ask, cheapest};
+use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
+use super::leader_program::{Ask, cheapest};
 use super::sequential;
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
@@ -25,7 +25,7 @@ use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Whether the first vehicle under test does at once and without noise what it decides.
-pub(super) fn applies(scenario: &Scenario) -> bool {
+pub(super) fn is_applicable(scenario: &Scenario) -> bool {
     scenario.vehicles().get(1).is_some_and(|ego| {
         ego.driver == Driver::UnderTest
             && ego.actuator_lag_s == 0.0
@@ -35,14 +35,14 @@ pub(super) fn applies(scenario: &Scenario) -> bool {
 }
 
 /// Boxes after which the enumeration is given up for a local search.
-const MOST_PROGRAMS: usize = 1500;
+const MAX_PROGRAMS: usize = 1500;
 
 /// How far beyond the bounds a profile goes, in metres: first as little as rounding needs, then as much as a filter may.
-const BEYOND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
+const MARGINS_BEYOND_BOUND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
 
 /// The cheapest profile that makes the baseline collide; none if there is none.
-pub(super) fn mildest(
-    bench: &mut Bench<'_>,
+pub(super) fn find_mildest(
+    bench: &mut ProfileSimulator<'_>,
     ttc_s: f64,
     aim: Aim,
     budget: usize,
@@ -51,13 +51,13 @@ pub(super) fn mildest(
     let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
     // Perhaps the leader need not brake at all.
     let coasting = vec![0.0; bench.cells()];
-    if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(Trial::collides) {
+    if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(ProfileOutcome::collides) {
         return Ok(Some(bench.report(&coasting, 0.0, AttackMethod::Exact)?));
     }
     let hits_behind = behind(bench, ttc_s)?;
     let mut search = Enumeration { bench, ttc_s, aim, beyond_m: 0.0, hits_behind: &hits_behind };
     let mut node = None;
-    for (widened, beyond_m) in BEYOND_M.into_iter().enumerate() {
+    for (widened, beyond_m) in MARGINS_BEYOND_BOUND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
         // The first margin decides when the brake fires; later ones only make sure that a filter sees it too.
         let found = match node {
@@ -67,7 +67,7 @@ pub(super) fn mildest(
                 None => search.cheapest()?,
             },
         };
-        let Some(Ranked { node: cheapest, profile, .. }) = found else { break };
+        let Some(RankedBox { node: cheapest, profile, .. }) = found else { break };
         node = Some(cheapest);
         let method =
             if widened == 0 && options_see_truth && is_quiet { AttackMethod::Exact } else { AttackMethod::Widened };
@@ -77,7 +77,7 @@ pub(super) fn mildest(
         }
     }
     // Too many boxes, or a filter that sees something else.
-    if search.bench.programs < MOST_PROGRAMS && options_see_truth {
+    if search.bench.programs < MAX_PROGRAMS && options_see_truth {
         Ok(None)
     } else {
         sequential::attack(search.bench, aim, budget)
@@ -85,7 +85,7 @@ pub(super) fn mildest(
 }
 
 /// For each step whether the vehicles behind collide on their own if the first one under test begins to brake for it then.
-fn behind(bench: &mut Bench<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
+fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
     let scenario = bench.scenario;
     let step_s = scenario.spec().step_s;
     let brake_mps2 = scenario.usable_brake_mps2(1);
@@ -111,66 +111,66 @@ fn behind(bench: &mut Bench<'_>, ttc_s: f64) -> Result<Vec<bool>, AttackError> {
     Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| simulated.outcome.contact().is_some()))
 }
 
-fn delay_steps(scenario: &Scenario) -> usize {
+fn ego_delay_steps(scenario: &Scenario) -> usize {
     let delay_s = scenario.vehicles().get(1).map_or(0.0, |ego| ego.reaction_delay_s + ego.actuator_delay_s);
     (delay_s / scenario.spec().step_s).round() as usize
 }
 
 /// A box of firings, and of contacts ahead unless it is about contacts behind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Node {
-    fires: [usize; 2],
-    touches: Option<[usize; 2]>,
+struct FiringBox {
+    firing_steps: [usize; 2],
+    contact_steps: Option<[usize; 2]>,
 }
 
-struct Ranked {
+struct RankedBox {
     cost: f64,
-    node: Node,
+    firing_box: FiringBox,
     profile: Vec<f64>,
 }
 
-impl Ord for Ranked {
+impl Ord for RankedBox {
     fn cmp(&self, other: &Self) -> Ordering {
         // The heap yields the greatest: the cheapest, and of equals the one furthest divided.
         other.cost.total_cmp(&self.cost).then(self.node.fires[0].cmp(&other.node.fires[0]))
     }
 }
 
-impl PartialOrd for Ranked {
+impl PartialOrd for RankedBox {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl PartialEq for Ranked {
+impl PartialEq for RankedBox {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Ranked {}
+impl Eq for RankedBox {}
 
 struct Enumeration<'e, 'a> {
-    bench: &'e mut Bench<'a>,
+    bench: &'e mut ProfileSimulator<'a>,
     ttc_s: f64,
-    aim: Aim,
+    objective: Aim,
     beyond_m: f64,
     hits_behind: &'e [bool],
 }
 
 impl Enumeration<'_, '_> {
-    fn cheapest(&mut self) -> Result<Option<Ranked>, AttackError> {
+    fn find_cheapest(&mut self) -> Result<Option<RankedBox>, AttackError> {
         let steps = self.bench.scenario.steps();
         let all = [0, steps.saturating_sub(1)];
         let mut open = BinaryHeap::new();
         for touches in [None, Some([1, steps])] {
-            open.extend(self.rank(Node { fires: all, touches }));
+            open.extend(self.rank(FiringBox { fires: all, touches }));
         }
-        while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MOST_PROGRAMS) {
+        while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MAX_PROGRAMS) {
             // What costs no more than any relaxation and collides is the answer, whatever its box.
             let Some(halves) = halves(cheapest.node) else { return Ok(Some(cheapest)) };
             let tried = self.bench.simulate(std::slice::from_ref(&cheapest.profile))?;
-            if tried.iter().any(Trial::collides) {
+            if tried.iter().any(ProfileOutcome::collides) {
                 return Ok(Some(cheapest));
             }
             for half in halves {
@@ -181,7 +181,7 @@ impl Enumeration<'_, '_> {
     }
 
     /// The cheapest profile of a relaxed box; none if it is empty.
-    fn rank(&mut self, node: Node) -> Option<Ranked> {
+    fn solve_relaxation(&mut self, node: FiringBox) -> Option<RankedBox> {
         let [first, last] = node.fires;
         let mut asked = Vec::new();
         match node.touches {
@@ -190,12 +190,12 @@ impl Enumeration<'_, '_> {
                 let hits = self.hits_behind.get(first..=last)?;
                 let (from, to) = (hits.iter().position(|hit| *hit)?, hits.iter().rposition(|hit| *hit)?);
                 if (from, to) != (0, last - first) {
-                    return self.rank(Node { fires: [first + from, first + to], touches: None });
+                    return self.rank(FiringBox { fires: [first + from, first + to], touches: None });
                 }
             }
             Some([earliest, latest]) => {
                 let touches = earliest.max(first)..=latest;
-                let reach_m = touches.map(|at| self.braking_m(last, at) - self.lead_rear_m(at));
+                let reach_m = touches.map(|at| self.braking_m(last, at) - self.leader_rear_m(at));
                 let reach_m = reach_m.reduce(f64::max)?;
                 asked.push(Ask { step: latest, theta_s: 0.0, bound_m: reach_m - self.beyond_m, at_most: true });
             }
@@ -203,27 +203,27 @@ impl Enumeration<'_, '_> {
         asked.push(self.guard(last, true));
         asked.extend((self.bench.cell..first).step_by(self.bench.cell).map(|step| self.guard(step, false)));
         let (cost, profile) = cheapest(self.bench, self.aim, &asked)?;
-        Some(Ranked { cost, node, profile })
+        Some(RankedBox { cost, node, profile })
     }
 
     /// Whether the brake has fired by a step, or has not, as a bound on d + θ w of the leader.
-    fn guard(&self, step: usize, fired: bool) -> Ask {
+    fn guard_constraint(&self, step: usize, fired: bool) -> Ask {
         let ego = &self.bench.scenario.vehicles()[1];
         let t = step as f64 * self.bench.scenario.spec().step_s;
-        let gap_m = self.lead_rear_m(step) - (ego.position_m + ego.speed_mps * t);
+        let gap_m = self.leader_rear_m(step) - (ego.position_m + ego.speed_mps * t);
         let closing_mps = ego.speed_mps - self.bench.scenario.vehicles()[0].speed_mps;
         let bound_m = self.ttc_s * closing_mps - gap_m - if fired { self.beyond_m } else { 0.0 };
         Ask { step, theta_s: self.ttc_s, bound_m, at_most: fired }
     }
 
     /// The leader's rear bumper if it coasts, in metres.
-    fn lead_rear_m(&self, step: usize) -> f64 {
+    fn leader_rear_m(&self, step: usize) -> f64 {
         let leader = &self.bench.scenario.vehicles()[0];
         leader.position_m - leader.length_m() + leader.speed_mps * step as f64 * self.bench.scenario.spec().step_s
     }
 
     /// Front bumper at step `at` of the first vehicle under test if its brake fires at step `fires`, in metres.
-    fn braking_m(&self, fires: usize, at: usize) -> f64 {
+    fn braking_ego_front_m(&self, fires: usize, at: usize) -> f64 {
         let scenario = self.bench.scenario;
         let ego = &scenario.vehicles()[1];
         let step_s = scenario.spec().step_s;
@@ -236,7 +236,7 @@ impl Enumeration<'_, '_> {
 }
 
 /// The two halves of a box across its longer side; none of a single firing and contact.
-fn halves(node: Node) -> Option<[Node; 2]> {
+fn split_box(node: FiringBox) -> Option<[FiringBox; 2]> {
     let split = |[first, last]: [usize; 2]| {
         let middle = usize::midpoint(first, last);
         [[first, middle], [middle + 1, last]]
@@ -244,9 +244,9 @@ fn halves(node: Node) -> Option<[Node; 2]> {
     let width = |[first, last]: [usize; 2]| last - first;
     match node.touches {
         Some(touches) if width(touches) > width(node.fires) => {
-            Some(split(touches).map(|touches| Node { touches: Some(touches), ..node }))
+            Some(split(touches).map(|touches| FiringBox { touches: Some(touches), ..node }))
         }
-        _ if width(node.fires) > 0 => Some(split(node.fires).map(|fires| Node { fires, ..node })),
+        _ if width(node.fires) > 0 => Some(split(node.fires).map(|fires| FiringBox { fires, ..node })),
         _ => None,
     }
 }

@@ -22,37 +22,37 @@
 mod attack;
 mod avoid;
 mod avoidance;
-mod bench;
-mod branches;
+mod profile_simulator;
+mod firing_search;
 mod certificate;
 mod closed_loop;
 mod descent;
 mod emergency_brake;
 mod envelope_step;
 mod exact;
-mod family;
-mod lead;
+mod scenario_box;
+mod leader_program;
 mod multipliers;
 mod program;
 mod pulses;
 mod reason;
 mod report;
-mod scripted;
+mod scripted_leader;
 mod sequential;
-mod situation;
-mod witness;
+mod avoidance_problem;
+mod escape;
 
 pub use attack::{
-    Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MOST_VEHICLE_STEPS_IN_ALL,
+    Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MAX_TOTAL_VEHICLE_STEPS,
     attack,
 };
-pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MOST_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
+pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MAX_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
 pub use certificate::{certificate_about, is_about, is_exactly};
 pub use closed_loop::Effort;
 pub(crate) use descent::{Descent, Limits, Pace};
 pub use emergency_brake::EmergencyBrake;
-pub use family::{Family, FamilyError, FieldRange, Ranges};
+pub use scenario_box::{Family, ScenarioBoxError, FieldRange, Ranges};
 pub use reason::Reason;
 pub use report::AttackReport;
-pub use witness::{Escape, FoundBy};
+pub use escape::{Escape, FoundBy};

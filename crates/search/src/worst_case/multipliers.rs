@@ -6,35 +6,35 @@
 //! every measurable a within the limits is the integral of min(-b q, a q), where q is the coefficient of a at each moment,
 //! linear between the instants that carry a multiplier. The bound holds for every control grid and every controller.
 
-use super::situation::{Side, Situation};
+use super::avoidance_problem::{Side, Situation};
 
 /// An instant, in steps, and its multiplier.
-pub(super) type Weighted = (usize, f64);
+pub(super) type WeightedInstant = (usize, f64);
 
 /// One for each row that a proof may use; rows that are not listed have none.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Multipliers {
-    pub(super) front: Vec<Weighted>,
+    pub(super) front: Vec<WeightedInstant>,
     /// One list for each pair of egos.
-    pub(super) between: Vec<Vec<Weighted>>,
-    pub(super) rear: Vec<Weighted>,
+    pub(super) between: Vec<Vec<WeightedInstant>>,
+    pub(super) rear: Vec<WeightedInstant>,
     /// One list for each ego.
-    pub(super) speed: Vec<Vec<Weighted>>,
+    pub(super) speed: Vec<Vec<WeightedInstant>>,
     pub(super) fired: f64,
 }
 
 /// Multipliers smaller than this share of the largest one are noise of the solver.
-const DUST: f64 = 1e-9;
+const NEGLIGIBLE_SHARE: f64 = 1e-9;
 
 impl Multipliers {
     /// No multipliers.
-    pub(super) fn none(situation: &Situation) -> Self {
+    pub(super) fn zero(situation: &Situation) -> Self {
         let egos = situation.egos.len();
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
     /// Only that the gaps were no larger at the start: one for each of them.
-    pub(super) fn of_start(situation: &Situation) -> impl Iterator<Item = Self> {
+    pub(super) fn for_initial_gaps(situation: &Situation) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
         let none = Self::none(situation);
         let front = Self { front: first(), ..none.clone() };
@@ -48,12 +48,12 @@ impl Multipliers {
     }
 
     /// Only that the brake fires.
-    pub(super) fn of_firing(situation: &Situation) -> Self {
+    pub(super) fn for_firing(situation: &Situation) -> Self {
         Self { fired: 1.0, ..Self::none(situation) }
     }
 
     /// The first step at which a last ego that brakes fully stands.
-    pub(super) fn stands_from(situation: &Situation) -> usize {
+    pub(super) fn standstill_step(situation: &Situation) -> usize {
         situation.egos.last().map_or(0, |ego| {
             let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
             ((braking_s / situation.step_s).ceil() as usize).min(situation.steps)
@@ -64,8 +64,8 @@ impl Multipliers {
     ///
     /// With φ = 1 at τ the coefficient is q(t) = t_τ - t + θ; subtracting the spacing at every so many steps from standstill
     /// on keeps it near zero there, and the closer the steps, the nearer.
-    pub(super) fn of_standing(situation: &Situation, firing: usize, spacing: usize) -> Self {
-        let mut multipliers = Self::of_firing(situation);
+    pub(super) fn for_standstill(situation: &Situation, firing: usize, spacing: usize) -> Self {
+        let mut multipliers = Self::for_firing(situation);
         let theta_s = situation.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
         let over_s = spacing as f64 * situation.step_s;
         let mut list = vec![(firing, theta_s + 0.5 * over_s)];
@@ -81,18 +81,18 @@ impl Multipliers {
         multipliers
     }
 
-    fn lists(&self) -> impl Iterator<Item = &Vec<Weighted>> {
+    fn lists(&self) -> impl Iterator<Item = &Vec<WeightedInstant>> {
         [&self.front, &self.rear].into_iter().chain(&self.between).chain(&self.speed)
     }
 
     /// Drops multipliers so small that they are only noise.
-    pub(super) fn without_dust(mut self) -> Self {
+    pub(super) fn without_negligible(mut self) -> Self {
         let largest = self.lists().flatten().fold(self.fired, |most, (_, value)| most.max(*value));
         let lists = [&mut self.front, &mut self.rear].into_iter().chain(&mut self.between).chain(&mut self.speed);
         for list in lists {
-            list.retain(|(_, value)| *value > DUST * largest);
+            list.retain(|(_, value)| *value > NEGLIGIBLE_SHARE * largest);
         }
-        if self.fired <= DUST * largest {
+        if self.fired <= NEGLIGIBLE_SHARE * largest {
             self.fired = 0.0;
         }
         self
@@ -101,7 +101,7 @@ impl Multipliers {
 
 /// Multipliers prepared for asking about many firings.
 #[derive(Debug, Clone)]
-pub(super) struct Proof {
+pub(super) struct DualProof {
     multipliers: Multipliers,
     /// For each ego what each instant adds to q, latest first: step, to its slope in time, to its value.
     kinks: Vec<Vec<(usize, f64, f64)>>,
@@ -111,7 +111,7 @@ pub(super) struct Proof {
     weight: f64,
 }
 
-impl Proof {
+impl DualProof {
     /// Prepares multipliers.
     pub(super) fn new(situation: &Situation, multipliers: Multipliers) -> Self {
         let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); situation.egos.len()];
@@ -154,7 +154,7 @@ impl Proof {
     }
 
     /// Whether it uses that the brake fires.
-    pub(super) fn needs_firing(&self) -> bool {
+    pub(super) fn uses_firing(&self) -> bool {
         self.multipliers.fired > 0.0
     }
 
@@ -167,7 +167,7 @@ impl Proof {
         let mut kink = None;
         if let Some(follower) = &situation.follower
             && fired
-            && self.needs_firing()
+            && self.uses_firing()
         {
             let value = self.multipliers.fired;
             total -= value * situation.fired_slack_m(firing, Side::Loose);
@@ -190,7 +190,7 @@ impl Proof {
     /// What the smallest gap of an escape cannot exceed, in metres; minus infinity if there is none at all.
     pub(super) fn gap_bound_m(&self, situation: &Situation, firing: usize, fired: bool) -> f64 {
         let infimum = self.infimum(situation, firing, fired);
-        if infimum > SURELY && self.weight <= 1e-9 * infimum {
+        if infimum > ROUNDING_MARGIN && self.weight <= 1e-9 * infimum {
             return f64::NEG_INFINITY;
         }
         if self.weight > 0.0 { -infimum / self.weight } else { f64::INFINITY }
@@ -198,10 +198,10 @@ impl Proof {
 }
 
 /// What L must exceed for a proof to survive outward rounding: values of some hundred metres are summed.
-pub(super) const SURELY: f64 = 1e-9;
+pub(super) const ROUNDING_MARGIN: f64 = 1e-9;
 
 /// The integral of min(-b q, a q) from 0 to the latest kink. All kinks latest first; `extra` is one more.
-fn least(kinks: &[(usize, f64, f64)], mut extra: Option<(usize, f64, f64)>, step_s: f64, limits: [f64; 2]) -> f64 {
+fn min_integral(kinks: &[(usize, f64, f64)], mut extra: Option<(usize, f64, f64)>, step_s: f64, limits: [f64; 2]) -> f64 {
     let (mut slope, mut value, mut total) = (0.0, 0.0, 0.0);
     let mut at = usize::MAX;
     let mut kinks = kinks.iter().copied().peekable();
@@ -217,7 +217,7 @@ fn least(kinks: &[(usize, f64, f64)], mut extra: Option<(usize, f64, f64)>, step
         if at != usize::MAX && at > to {
             let over_s = (at - to) as f64 * step_s;
             let earlier = value + slope * over_s;
-            total += least_linear(value, earlier, over_s, limits);
+            total += min_integral_linear(value, earlier, over_s, limits);
             value = earlier;
         }
         let Some((step, by_slope, by_value)) = next else { return total };
@@ -228,7 +228,7 @@ fn least(kinks: &[(usize, f64, f64)], mut extra: Option<(usize, f64, f64)>, step
 }
 
 /// The integral of min(-b q, a q) for q linear between two values.
-fn least_linear(one: f64, other: f64, over_s: f64, [brake, accel]: [f64; 2]) -> f64 {
+fn min_integral_linear(one: f64, other: f64, over_s: f64, [brake, accel]: [f64; 2]) -> f64 {
     let (high, low) = (one.max(other), one.min(other));
     if low >= 0.0 {
         -brake * 0.5 * (high + low) * over_s

@@ -17,7 +17,7 @@
 //! so nothing need say that the brake has not fired before τ.
 
 use super::multipliers::Multipliers;
-use super::situation::{Side, Situation};
+use super::avoidance_problem::{Side, Situation};
 use crumple_quadratic::{QuadraticProgram, Solved};
 
 /// Instants, in steps, between which accelerations are held.
@@ -29,7 +29,7 @@ pub(super) struct Grid {
 
 /// What to minimise.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Objective {
+pub(super) enum EscapeObjective {
     /// The negative of the smallest gap.
     LargestGap,
     /// ∫ a² with all gaps at least this many metres.
@@ -40,14 +40,14 @@ pub(super) enum Objective {
 
 /// What is wanted of an escape.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Wanted {
-    pub(super) objective: Objective,
+pub(super) struct EscapeQuery {
+    pub(super) objective: EscapeObjective,
     pub(super) side: Side,
 }
 
 /// What became of a program.
 #[derive(Debug, Clone)]
-pub(super) enum Answer {
+pub(super) enum ProgramOutcome {
     /// A profile, and the multipliers that bound how much better any other can be.
     Profile {
         /// m, in metres.
@@ -58,19 +58,19 @@ pub(super) enum Answer {
         multipliers: Multipliers,
     },
     /// No profile makes the brake fire there.
-    Empty(Multipliers),
+    Infeasible(Multipliers),
     /// The solver gave up.
-    Trouble(String),
+    SolverFailed(String),
 }
 
 /// The guard is to have fired by this much, in metres, so that rounding cannot undo it.
-const FIRED_BY_M: f64 = 1e-5;
+const GUARD_MARGIN_M: f64 = 1e-5;
 
 impl Grid {
     /// Cells of `cell` steps, five times as long once the leader stands for good and nothing urgent can happen; the last one
     /// may be shorter.
     pub(super) fn new(situation: &Situation, cell: usize) -> Self {
-        let calm = situation.leader_rests_from();
+        let calm = situation.leader_standstill_step();
         let mut steps = Vec::new();
         let mut step = 0;
         while step < situation.steps {
@@ -81,14 +81,14 @@ impl Grid {
         Self { steps }
     }
 
-    fn cells(&self) -> usize {
+    fn cell_count(&self) -> usize {
         self.steps.len() - 1
     }
 }
 
 /// What a row is about.
 #[derive(Debug, Clone, Copy)]
-enum Row {
+enum ConstraintRow {
     Front(usize),
     Pair(usize, usize),
     Rear(usize),
@@ -98,40 +98,40 @@ enum Row {
 }
 
 /// The largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
-pub(super) fn solve(situation: &Situation, grid: &Grid, firing: usize, wanted: Wanted) -> Answer {
-    let mut program = Program::new(situation, grid, wanted);
+pub(super) fn solve(situation: &Situation, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
+    let mut program = EscapeProgram::new(situation, grid, wanted);
     program.motion();
     program.gaps(firing);
     program.objective();
     let (at, multipliers) = match program.cone.solve() {
         Solved::Optimal { at, multipliers } => (at, multipliers),
-        Solved::Infeasible(multipliers) => return Answer::Empty(program.multipliers(&multipliers)),
-        Solved::Trouble(status) => return Answer::Trouble(status),
+        Solved::Infeasible(multipliers) => return ProgramOutcome::Empty(program.multipliers(&multipliers)),
+        Solved::Trouble(status) => return ProgramOutcome::Trouble(status),
     };
     let acceleration_mps2 = (0..situation.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
     let gap_m = at.first().copied().unwrap_or(f64::NAN);
-    Answer::Profile { gap_m, acceleration_mps2, multipliers: program.multipliers(&multipliers) }
+    ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers: program.multipliers(&multipliers) }
 }
 
-struct Program<'a> {
+struct EscapeProgram<'a> {
     situation: &'a Situation,
     grid: &'a Grid,
-    wanted: Wanted,
-    cone: QuadraticProgram,
-    rows: Vec<Row>,
+    query: EscapeQuery,
+    quadratic_program: QuadraticProgram,
+    rows: Vec<ConstraintRow>,
 }
 
 /// The variable m.
-const GAP: usize = 0;
+const GAP_VARIABLE: usize = 0;
 
-impl<'a> Program<'a> {
-    fn new(situation: &'a Situation, grid: &'a Grid, wanted: Wanted) -> Self {
+impl<'a> EscapeProgram<'a> {
+    fn new(situation: &'a Situation, grid: &'a Grid, wanted: EscapeQuery) -> Self {
         let variables = 1 + 2 * situation.egos.len() * grid.cells();
         Self { situation, grid, wanted, cone: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
     /// The variable w of an ego at a grid instant after the first; d is the next one.
-    fn speed(&self, ego: usize, instant: usize) -> usize {
+    fn speed_variable(&self, ego: usize, instant: usize) -> usize {
         1 + 2 * ((instant - 1) * self.situation.egos.len() + ego)
     }
 
@@ -141,17 +141,17 @@ impl<'a> Program<'a> {
     }
 
     /// The acceleration in the cell before an instant, times its length.
-    fn change(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
+    fn speed_change_terms(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
         let w = self.speed(ego, instant);
         if instant > 1 { vec![(w, 1.0), (self.speed(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
     }
 
-    fn at_most(&mut self, row: Row, terms: &[(usize, f64)], bound: f64) {
+    fn add_inequality(&mut self, row: ConstraintRow, terms: &[(usize, f64)], bound: f64) {
         self.cone.at_most(terms, bound);
         self.rows.push(row);
     }
 
-    fn motion(&mut self) {
+    fn add_motion_rows(&mut self) {
         let side = self.wanted.side;
         for instant in 1..=self.grid.cells() {
             let cell_s = self.cell_s(instant);
@@ -168,17 +168,17 @@ impl<'a> Program<'a> {
                     self.cone.equal(&change, 0.0);
                 } else {
                     let back: Vec<_> = change.iter().map(|&(variable, c)| (variable, -c)).collect();
-                    self.at_most(Row::Other, &change, limits.max_accel_mps2 * cell_s);
-                    self.at_most(Row::Other, &back, limits.max_brake_mps2 * cell_s);
+                    self.at_most(ConstraintRow::Other, &change, limits.max_accel_mps2 * cell_s);
+                    self.at_most(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
                 }
                 let step = self.grid.steps[instant];
-                self.at_most(Row::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
+                self.at_most(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
             }
         }
     }
 
     /// The change of acceleration from the cell before, or from none at the start.
-    fn jump(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
+    fn acceleration_change_terms(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
         let scaled = |instant: usize, by: f64| {
             let cell_s = self.cell_s(instant);
             self.change(ego, instant).into_iter().map(move |(variable, c)| (variable, by * c / cell_s))
@@ -192,11 +192,11 @@ impl<'a> Program<'a> {
         (terms, apart_s)
     }
 
-    fn gaps(&mut self, firing: usize) {
+    fn add_gap_rows(&mut self, firing: usize) {
         let (situation, side) = (self.situation, self.wanted.side);
-        self.at_most(Row::Other, &[(GAP, 1.0)], situation.first_gap_m(side));
+        self.at_most(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], situation.initial_gap_m(side));
         let last = situation.egos.len() - 1;
-        let (leader_rests, follower_rests) = (situation.leader_rests_from(), situation.follower_rests_from(firing));
+        let (leader_rests, follower_rests) = (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
         // Over a box the loose side lets the slowest member lose the speed of the fastest one: it may reverse.
         let may_reverse = situation.is_box && side == Side::Loose;
         for instant in 1..=self.grid.cells() {
@@ -205,28 +205,28 @@ impl<'a> Program<'a> {
             // Behind a standing leader the last instant says it all, since no vehicle reverses; likewise ahead of a
             // follower that stands.
             if step <= leader_rests || instant == self.grid.cells() || may_reverse {
-                let terms = [(d(self, 0), 1.0), (GAP, 1.0)];
-                self.at_most(Row::Front(step), &terms, situation.front_slack_m(step, side));
+                let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
+                self.at_most(ConstraintRow::Front(step), &terms, situation.front_slack_m(step, side));
             }
             for ahead in 0..last {
-                let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP, 1.0)];
-                self.at_most(Row::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
+                let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
+                self.at_most(ConstraintRow::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
             }
             if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
-                let terms = [(d(self, last), -1.0), (GAP, 1.0)];
-                self.at_most(Row::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
+                let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
+                self.at_most(ConstraintRow::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
             }
         }
         if let Some(follower) = &situation.follower
             && firing < situation.never()
         {
             let terms = self.guard(firing, follower.ttc_s);
-            self.at_most(Row::Fired, &terms, situation.fired_slack_m(firing, side) - FIRED_BY_M);
+            self.at_most(ConstraintRow::Fired, &terms, situation.fired_slack_m(firing, side) - GUARD_MARGIN_M);
         }
     }
 
     /// d + θ w of the last ego at a step, which may lie inside a cell.
-    fn guard(&self, step: usize, theta_s: f64) -> Vec<(usize, f64)> {
+    fn guard_terms(&self, step: usize, theta_s: f64) -> Vec<(usize, f64)> {
         if step == 0 {
             return Vec::new();
         }
@@ -244,13 +244,13 @@ impl<'a> Program<'a> {
         terms
     }
 
-    fn objective(&mut self) {
+    fn set_objective(&mut self) {
         let (least_m, of_jumps) = match self.wanted.objective {
-            Objective::LargestGap => return self.cone.cost(GAP, -1.0),
-            Objective::GentlestEscape(least_m) => (least_m, false),
-            Objective::LeastJerk(least_m) => (least_m, true),
+            EscapeObjective::LargestGap => return self.cone.cost(GAP_VARIABLE, -1.0),
+            EscapeObjective::GentlestEscape(least_m) => (least_m, false),
+            EscapeObjective::LeastJerk(least_m) => (least_m, true),
         };
-        self.at_most(Row::Other, &[(GAP, -1.0)], -least_m);
+        self.at_most(ConstraintRow::Other, &[(GAP_VARIABLE, -1.0)], -least_m);
         for instant in 1..=self.grid.cells() {
             for ego in 0..self.situation.egos.len() {
                 if of_jumps {
@@ -275,7 +275,7 @@ impl<'a> Program<'a> {
             }
             let wanted = at.get(self.speed(ego, instant)).copied().unwrap_or(before);
             // A vehicle that hardly moves stands.
-            let wanted = if wanted - lowest_mps < REST_MPS { lowest_mps } else { wanted };
+            let wanted = if wanted - lowest_mps < STANDSTILL_SPEED_MPS { lowest_mps } else { wanted };
             let cell_s = self.cell_s(instant);
             let held = ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
             before += held * cell_s;
@@ -289,17 +289,17 @@ impl<'a> Program<'a> {
         let mut multipliers = Multipliers::none(self.situation);
         for (row, &value) in self.rows.iter().zip(values) {
             match *row {
-                Row::Front(step) => multipliers.front.push((step, value)),
-                Row::Rear(step) => multipliers.rear.push((step, value)),
-                Row::Pair(ahead, step) => multipliers.between[ahead].push((step, value)),
-                Row::Speed(ego, step) => multipliers.speed[ego].push((step, value)),
-                Row::Fired => multipliers.fired = value,
-                Row::Other => {}
+                ConstraintRow::Front(step) => multipliers.front.push((step, value)),
+                ConstraintRow::Rear(step) => multipliers.rear.push((step, value)),
+                ConstraintRow::Pair(ahead, step) => multipliers.between[ahead].push((step, value)),
+                ConstraintRow::Speed(ego, step) => multipliers.speed[ego].push((step, value)),
+                ConstraintRow::Fired => multipliers.fired = value,
+                ConstraintRow::Other => {}
             }
         }
-        multipliers.without_dust()
+        multipliers.without_negligible()
     }
 }
 
 /// Speed below which a vehicle of a solution counts as standing, in m/s.
-const REST_MPS: f64 = 1e-5;
+const STANDSTILL_SPEED_MPS: f64 = 1e-5;

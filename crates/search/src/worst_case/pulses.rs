@@ -1,6 +1,6 @@
 //! Pulses and ramps of a leader's braking, within its envelope.
 
-use super::bench::Bench;
+use super::profile_simulator::ProfileSimulator;
 
 /// Course of a plain braking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +34,7 @@ struct ScanSize {
 }
 
 /// Pulses and ramps of several depths, lengths and onsets: 40 for a small budget, 112 for a medium one, 864 for a large one.
-pub(super) fn scan(bench: &Bench<'_>, budget: usize) -> Vec<Pulse> {
+pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
     let ScanSize { depths, lengths, onsets, forms } = match budget {
         ..400 => ScanSize { depths: 4, lengths: 5, onsets: 2, forms: &[BrakeForm::Pulse] },
         400..2000 => ScanSize { depths: 4, lengths: 7, onsets: 2, forms: &[BrakeForm::Pulse, BrakeForm::Ramp] },
@@ -68,7 +68,7 @@ impl Pulse {
     }
 
     /// The depth of the next shallower pulse of the scan, in m/s².
-    pub(super) fn shallower_mps2(&self) -> f64 {
+    pub(super) fn shallower_depth_mps2(&self) -> f64 {
         self.depth_mps2 - self.spacing_mps2
     }
 
@@ -77,7 +77,7 @@ impl Pulse {
     }
 
     /// Its acceleration in each cell, in m/s².
-    pub(super) fn cells_mps2(&self, bench: &Bench<'_>) -> Vec<f64> {
+    pub(super) fn cells_mps2(&self, bench: &ProfileSimulator<'_>) -> Vec<f64> {
         let most = bench.envelope.jerk_mps3 * bench.cell_s();
         let mut before = 0.0_f64;
         let mut held = |cell: usize| {

@@ -6,7 +6,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum Reason {
+pub enum UndecidedReason {
     /// The leader reacts to other vehicles.
     #[error("vehicle 0 does not follow a script")]
     Leader,
@@ -59,7 +59,7 @@ pub enum Reason {
         vehicle: usize,
     },
     /// The two answers are closer together than the arithmetic.
-    #[error("{}", undecided_gap(*low_m, *high_m))]
+    #[error("{}", describe_undecided_gap(*low_m, *high_m))]
     TooClose {
         /// What was reached, in metres.
         low_m: f64,
@@ -83,7 +83,7 @@ pub enum Reason {
     },
 }
 
-fn undecided_gap(low_m: f64, high_m: f64) -> String {
+fn describe_undecided_gap(low_m: f64, high_m: f64) -> String {
     if low_m.is_finite() {
         format!("the best smallest gap lies between {low_m:.6} and {high_m:.6} m, which decides nothing")
     } else {
@@ -91,7 +91,7 @@ fn undecided_gap(low_m: f64, high_m: f64) -> String {
     }
 }
 
-impl Reason {
+impl UndecidedReason {
     /// Whether it is that the programs do not model who drives: an escape may be found without them.
     pub(super) fn is_not_modelled(&self) -> bool {
         matches!(self, Self::Leader | Self::LaneChanges | Self::Follower { .. } | Self::BehindFollower { .. })

@@ -7,30 +7,30 @@
 //! one. The result is the best profile found: nothing shows that no milder one exists.
 
 use super::attack::{Aim, Attack, AttackError, AttackMethod};
-use super::bench::{Bench, Trial};
+use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
 use super::descent::{REGION_FACTORS, slopes};
-use super::envelope_step::{EnvelopeStep, Hats, StepGoal};
+use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
 use super::pulses::{self, Pulse};
 
 /// Change of a knot for a finite difference, in m/s².
-const NUDGE_MPS2: f64 = 0.05;
+const FINITE_DIFFERENCE_MPS2: f64 = 0.05;
 /// The trust region at first, and where a search gives up, in m/s².
-const REGION_MPS2: [f64; 2] = [1.0, 0.01];
+const TRUST_REGION_MPS2: [f64; 2] = [1.0, 0.01];
 /// Most profiles from which descents start, and simulations that are worth a start.
-const STARTS: usize = 8;
+const MAX_STARTS: usize = 8;
 const SIMULATIONS_PER_START: usize = 250;
 /// Bisections of the depth of a pulse between one that collides and one that does not.
 const BISECTIONS: usize = 6;
 /// Least and most pulses that are bisected.
-const BISECTED: [usize; 2] = [8, 24];
+const BISECTED_PULSES: [usize; 2] = [8, 24];
 /// A step that lowers the cost, or the margin in metres, by less than this is a failure.
-const WORTH: f64 = 1e-4;
+const MIN_GAIN: f64 = 1e-4;
 /// Time after a contact that still belongs to the knots before it, in seconds.
-const AFTER_S: f64 = 0.3;
+const CONTACT_TAIL_S: f64 = 0.3;
 
 /// A profile, one acceleration a cell, and its simulation.
 #[derive(Debug, Clone)]
-pub(super) struct Point {
+pub(super) struct SimulatedBraking {
     pub(super) cells_mps2: Vec<f64>,
     margin_m: f64,
     collides: bool,
@@ -39,9 +39,9 @@ pub(super) struct Point {
 }
 
 /// The best profile found with about `budget` simulations; none if none collides.
-pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<Option<Attack>, AttackError> {
-    let mut search = Search { bench, aim };
-    let mut best: Option<(Point, f64)> = None;
+pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: Aim, budget: usize) -> Result<Option<Attack>, AttackError> {
+    let mut search = AttackSearch { bench, aim };
+    let mut best: Option<(SimulatedBraking, f64)> = None;
     let mut starts = search.starts(budget)?;
     starts.truncate((budget.saturating_sub(search.bench.evaluations) / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
@@ -50,7 +50,7 @@ pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<O
         let spent = search.bench.evaluations;
         let until = spent + budget.saturating_sub(spent) / (count - index);
         let found = search.descend(start, until)?;
-        let is_better = |best: &Point, found: &Point| match aim {
+        let is_better = |best: &SimulatedBraking, found: &SimulatedBraking| match aim {
             Aim::Severest => found.margin_m < best.margin_m,
             Aim::Mildest | Aim::LeastPeak => search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2),
         };
@@ -62,16 +62,16 @@ pub(super) fn attack(bench: &mut Bench<'_>, aim: Aim, budget: usize) -> Result<O
     Ok(Some(search.bench.report(&best.cells_mps2, predicted_m, AttackMethod::Sequential)?))
 }
 
-struct Search<'s, 'a> {
-    bench: &'s mut Bench<'a>,
-    aim: Aim,
+struct AttackSearch<'s, 'a> {
+    bench: &'s mut ProfileSimulator<'a>,
+    objective: Aim,
 }
 
-impl Search<'_, '_> {
-    fn try_out(&mut self, all: Vec<Vec<f64>>) -> Result<Vec<Point>, AttackError> {
+impl AttackSearch<'_, '_> {
+    fn simulate_profiles(&mut self, all: Vec<Vec<f64>>) -> Result<Vec<SimulatedBraking>, AttackError> {
         let trials = self.bench.simulate(&all)?;
         let duration_s = self.bench.scenario.spec().duration_s;
-        let point = |(cells_mps2, trial): (Vec<f64>, Trial)| Point {
+        let point = |(cells_mps2, trial): (Vec<f64>, ProfileOutcome)| SimulatedBraking {
             cells_mps2,
             margin_m: trial.margin_m,
             collides: trial.collides(),
@@ -81,38 +81,38 @@ impl Search<'_, '_> {
     }
 
     /// Pulses and ramps from which descents start: the mildest that collide, or those with the smallest margins.
-    fn starts(&mut self, budget: usize) -> Result<Vec<Point>, AttackError> {
+    fn find_starts(&mut self, budget: usize) -> Result<Vec<SimulatedBraking>, AttackError> {
         let pulses = pulses::scan(self.bench, budget);
         let profiles: Vec<_> = pulses.iter().map(|pulse| pulse.cells_mps2(self.bench)).collect();
         let tried = self.try_out(profiles)?;
-        let mut all: Vec<(Pulse, Point)> = pulses.into_iter().zip(tried).collect();
+        let mut all: Vec<(Pulse, SimulatedBraking)> = pulses.into_iter().zip(tried).collect();
         if self.aim == Aim::Severest || !all.iter().any(|(_, point)| point.collides) {
             all.sort_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
             return Ok(all.into_iter().map(|(_, point)| point).take(STARTS).collect());
         }
-        let most = (all.len() / 5).clamp(BISECTED[0], BISECTED[1]);
+        let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
         all.retain(|(_, point)| point.collides);
         all.sort_by(|(_, a), (_, b)| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
         // One depth of each form, length and onset.
-        let mut mildest: Vec<(Pulse, Point)> = Vec::new();
+        let mut mildest: Vec<(Pulse, SimulatedBraking)> = Vec::new();
         for (pulse, point) in all {
             if mildest.len() < most && mildest.iter().all(|(other, _)| !other.differs_in_depth_only(&pulse)) {
                 mildest.push((pulse, point));
             }
         }
         self.bisect(&mut mildest)?;
-        let mut points: Vec<Point> = mildest.into_iter().map(|(_, point)| self.trimmed(point)).collect();
+        let mut points: Vec<SimulatedBraking> = mildest.into_iter().map(|(_, point)| self.trimmed(point)).collect();
         points.sort_by(|a, b| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
         points.truncate(STARTS);
         Ok(points)
     }
 
     /// Makes pulses that collide less deep, as long as they collide.
-    fn bisect(&mut self, pulses: &mut [(Pulse, Point)]) -> Result<(), AttackError> {
-        let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_mps2()).collect();
+    fn bisect(&mut self, pulses: &mut [(Pulse, SimulatedBraking)]) -> Result<(), AttackError> {
+        let mut misses_mps2: Vec<f64> = pulses.iter().map(|(pulse, _)| pulse.shallower_depth_mps2()).collect();
         for _ in 0..BISECTIONS {
             let halfway =
-                |((pulse, _), misses): (&(Pulse, Point), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
+                |((pulse, _), misses): (&(Pulse, SimulatedBraking), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
             let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
             let tried = self.try_out(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
             for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried)
@@ -124,12 +124,12 @@ impl Search<'_, '_> {
     }
 
     /// Steps from one profile, until `until` simulations have been made or none improves it; with what the last program predicted.
-    fn descend(&mut self, mut at: Point, until: usize) -> Result<(Point, f64), AttackError> {
+    fn descend(&mut self, mut at: SimulatedBraking, until: usize) -> Result<(SimulatedBraking, f64), AttackError> {
         let [success, failure] = REGION_FACTORS;
         let (mut region, mut predicted_m, mut phase) = (REGION_MPS2[0], at.margin_m, 0.0);
         while region > REGION_MPS2[1] && self.bench.evaluations < until {
             let wants_cost = at.collides && self.aim != Aim::Severest;
-            let hats = Hats::new(self.bench, at.until_s + AFTER_S, phase);
+            let hats = HatFunctions::new(self.bench, at.until_s + AFTER_S, phase);
             let slope = self.slope(&at, &hats)?;
             // Several depths beyond contact at once: the linear prediction is not exact.
             let goals: Vec<StepGoal> = match wants_cost {
@@ -140,7 +140,7 @@ impl Search<'_, '_> {
                 EnvelopeStep { from_mps2: &at.cells_mps2, margin_m: at.margin_m, slope: &slope, hats: &hats, region };
             let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.towards(self.bench, goal)).collect();
             let tried = self.try_out(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
-            let gain = |point: &Point| match wants_cost {
+            let gain = |point: &SimulatedBraking| match wants_cost {
                 true if !point.collides => f64::NEG_INFINITY,
                 true => 1.0 - self.cost(&point.cells_mps2) / self.cost(&at.cells_mps2),
                 false => at.margin_m - point.margin_m,
@@ -160,7 +160,7 @@ impl Search<'_, '_> {
     }
 
     /// The same profile, released as fast as the jerk allows once its run has ended.
-    fn trimmed(&self, mut point: Point) -> Point {
+    fn trim(&self, mut point: SimulatedBraking) -> SimulatedBraking {
         let (cell_s, most) = (self.bench.cell_s(), self.bench.envelope.jerk_mps3 * self.bench.cell_s());
         let over = (point.until_s / cell_s).ceil() as usize;
         let mut before = over.checked_sub(1).and_then(|last| point.cells_mps2.get(last)).copied().unwrap_or(0.0);
@@ -179,11 +179,11 @@ impl Search<'_, '_> {
     }
 
     /// The change of the margin with each knot, in s².
-    fn slope(&mut self, at: &Point, hats: &Hats) -> Result<Vec<f64>, AttackError> {
+    fn gradient(&mut self, at: &SimulatedBraking, hats: &HatFunctions) -> Result<Vec<f64>, AttackError> {
         let most = self.bench.envelope.max_brake_mps2;
         let by: Vec<f64> = hats
             .means_mps2(&at.cells_mps2)
-            .map(|mean| if mean > -0.5 * most { -NUDGE_MPS2 } else { NUDGE_MPS2 })
+            .map(|mean| if mean > -0.5 * most { -FINITE_DIFFERENCE_MPS2 } else { FINITE_DIFFERENCE_MPS2 })
             .collect();
         let nudged = by.iter().enumerate().map(|(knot, &by)| hats.moved(&at.cells_mps2, knot, by, most)).collect();
         let margins_m: Vec<f64> = self.try_out(nudged)?.iter().map(|point| point.margin_m).collect();

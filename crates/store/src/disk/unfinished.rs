@@ -10,7 +10,7 @@ use std::path::Path;
 
 use tempfile::NamedTempFile;
 
-use super::{DiskError, remove, unless_missing};
+use super::{DiskError, remove, none_if_missing};
 
 const PREFIX: &str = ".crumple-unfinished-";
 
@@ -21,17 +21,17 @@ pub(crate) fn is_unfinished(path: &Path) -> bool {
 }
 
 /// Returns the name of the file with a number, of a folder of work.
-pub(crate) fn numbered(number: u64) -> String {
+pub(crate) fn numbered_name(number: u64) -> String {
     format!("{PREFIX}{number}")
 }
 
 /// Returns the number in the name of such a file.
-pub(crate) fn number_of(name: &str) -> Option<u64> {
+pub(crate) fn parse_number(name: &str) -> Option<u64> {
     name.strip_prefix(PREFIX)?.parse().ok()
 }
 
 /// Creates a file with a random name that stays locked while it is open.
-pub(super) fn create(folder: &Path) -> io::Result<NamedTempFile> {
+pub(super) fn create_locked(folder: &Path) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     // With a letter first, no random name is a number.
     let prefix = format!("{PREFIX}file-");
@@ -55,7 +55,7 @@ pub(super) fn create(folder: &Path) -> io::Result<NamedTempFile> {
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
 pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
-    remove_those(folder, false)
+    remove_abandoned(folder, false)
 }
 
 /// Removes those of the folder of work, too. The caller holds the lock of that folder, and no change is pending.
@@ -63,17 +63,17 @@ pub fn remove_unfinished(folder: &Path) -> Result<(), DiskError> {
 /// # Errors
 /// [`DiskError`] if the folder cannot be read or written.
 pub(crate) fn remove_all_unfinished(folder: &Path) -> Result<(), DiskError> {
-    remove_those(folder, true)
+    remove_abandoned(folder, true)
 }
 
-fn remove_those(folder: &Path, and_numbered: bool) -> Result<(), DiskError> {
-    for entry in unless_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
+fn remove_abandoned(folder: &Path, and_numbered: bool) -> Result<(), DiskError> {
+    for entry in none_if_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten() {
         let path = entry.map_err(DiskError::at(folder))?.path();
         if !is_unfinished(&path) {
             continue;
         }
         // Held until the file is removed, so that its writer cannot lock it in between.
-        let lock = lock_of_abandoned(&path);
+        let lock = lock_if_abandoned(&path);
         if lock.is_some() || and_numbered && is_numbered(&path) {
             remove(&[path])?;
         }
@@ -82,11 +82,11 @@ fn remove_those(folder: &Path, and_numbered: bool) -> Result<(), DiskError> {
 }
 
 fn is_numbered(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| number_of(&name.to_string_lossy()).is_some())
+    path.file_name().is_some_and(|name| parse_number(&name.to_string_lossy()).is_some())
 }
 
 /// Locks a file whose writer has ended; none if the writer still holds the lock, or the file belongs to a folder of work.
-fn lock_of_abandoned(path: &Path) -> Option<File> {
+fn lock_if_abandoned(path: &Path) -> Option<File> {
     let is_plain = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
     if !is_plain || is_numbered(path) {
         return None;

@@ -3,21 +3,21 @@
 //! Whatever a user wrote stands in the script for a shard alone, each word quoted for a POSIX shell; what the engines read holds numbers
 //! and, quoted likewise, the name of that script.
 
-use crumple_core::quoted::ShellWord;
+use crumple_core::quoting::ShellWord;
 
-use crate::shard::MOST_SHARDS;
+use crate::shard::MAX_SHARDS;
 
 /// Work to be divided.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Jobs {
     /// The words after `crumple --quiet` that make the work as a whole, without `--shard`, `--out` and `--resume`.
-    pub words: Vec<String>,
+    pub arguments: Vec<String>,
     /// Into how many shards.
     pub shards: u32,
     /// Cores for each.
     pub cores: u32,
     /// Minutes after which Slurm ends one.
-    pub most_minutes: u64,
+    pub max_minutes: u64,
     /// Where the files go and the shards come to lie, as a user would write it where the jobs are begun.
     pub folder: String,
 }
@@ -39,7 +39,7 @@ impl Engine {
 }
 
 /// Does something on one core, as a shard would.
-pub fn on_one_core<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+pub fn run_on_one_core<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
         Ok(one) => one.install(work),
         // Without a pool of its own it is done on all cores.
@@ -48,13 +48,13 @@ pub fn on_one_core<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 }
 
 /// The script that makes a shard.
-pub const TASK: &str = "task.sh";
+pub const TASK_SCRIPT: &str = "task.sh";
 
 impl Jobs {
     /// The script that makes a shard: which, is its argument, or what HyperQueue or Slurm say.
     #[must_use]
-    pub fn task(&self) -> String {
-        let words: Vec<String> = self.words.iter().map(|word| ShellWord(word).to_string()).collect();
+    pub fn task_script(&self) -> String {
+        let words: Vec<String> = self.arguments.iter().map(|word| ShellWord(word).to_string()).collect();
         let shards = ShellWord(&format!("{}/shards/", self.folder)).to_string();
         format!(
             "#!/bin/sh\n\
@@ -72,17 +72,17 @@ impl Jobs {
 
     /// The name and the text of the file for an engine.
     #[must_use]
-    pub fn file(&self, engine: Engine) -> (&'static str, String) {
+    pub fn engine_file(&self, engine: Engine) -> (&'static str, String) {
         let filled = |text: &str| {
-            let (shards, cores) = (self.shards.min(MOST_SHARDS).to_string(), self.cores.to_string());
+            let (shards, cores) = (self.shards.min(MAX_SHARDS).to_string(), self.cores.to_string());
             text.replace("@SHARDS@", &shards).replace("@CORES@", &cores)
         };
         match engine {
             Engine::HyperQueue => ("hyperqueue_job.py", filled(include_str!("hyperqueue_job.py"))),
             Engine::Ray => ("ray_job.py", filled(include_str!("ray_job.py"))),
             Engine::Slurm => {
-                let Self { shards, cores, most_minutes, folder, .. } = self;
-                let task = format!("{folder}/{TASK}");
+                let Self { shards, cores, max_minutes: most_minutes, folder, .. } = self;
+                let task = format!("{folder}/{TASK_SCRIPT}");
                 let text = format!(
                     "#!/bin/sh\n#SBATCH --job-name=crumple\n#SBATCH --array=1-{shards}\n#SBATCH --cpus-per-task={cores}\n\
                      #SBATCH --time={most_minutes}\n#SBATCH --requeue\n\
@@ -136,7 +136,7 @@ mod tests {
             controller in "[a-z $`\"'\\\\;&|<>(){}*?!#~\n\u{202e}é=-]{1,20}",
             folder in "[a-z $`\"'\\\\;&|<>(){}*?!#~\n=-]{1,20}",
         ) {
-            let found = arguments(&jobs(&controller, &folder).task(), TASK, "HQ_TASK_ID");
+            let found = arguments(&jobs(&controller, &folder).task(), TASK_SCRIPT, "HQ_TASK_ID");
             let out = format!("--out={folder}/shards/3");
             let expected =
                 ["--quiet", "verify", "rate", "--controller", &controller, "--shard", "3/8", &out, "--resume"];

@@ -3,7 +3,7 @@
 //! A shard is a pure function of what decides the whole work, of I and of N: whoever makes it, wherever and however often, makes the
 //! same. Its folder says all of that, so that parts can be put together again by somebody who knows nothing else.
 
-mod merged;
+mod merge;
 mod parts;
 
 use std::fmt;
@@ -16,13 +16,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::difference;
 use crate::disk::DiskError;
-use crate::work::{Asked, Finished, Work, WorkError};
+use crate::run_folder::{RunFolderOptions, CompletedRun, RunFolder, RunFolderError};
 
-pub use merged::{Mergeable, Merged};
+pub use merge::{Mergeable, MergedShards};
 pub use parts::{MergeError, MissingShards, Parts};
 
 /// The file that says all that decides a shard.
-pub const SHARD: &str = "shard.json";
+pub const SHARD_FILE: &str = "shard.json";
 
 /// Everything that decides work that can be divided. `shard.json` holds it beside the version and the number of the shard.
 pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
@@ -31,17 +31,17 @@ pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
     /// Version of `shard.json`.
     const VERSION: u32;
     /// Name of the file with the results of a shard.
-    const RESULTS: &'static str;
+    const RESULTS_FILE: &'static str;
     /// Name of the parts, in the plural.
-    const PARTS: &'static str;
+    const PARTS_NAME: &'static str;
     /// Writes each field of `shard.json` on a line of its own.
     const IS_PRETTY: bool = false;
 
     /// Returns the number of parts of the whole work.
-    fn parts(&self) -> u64;
+    fn part_count(&self) -> u64;
 
     /// Returns the field in which other work differs, if it differs.
-    fn difference(&self, other: &Self) -> Option<String>;
+    fn differing_field(&self, other: &Self) -> Option<String>;
 
     /// Returns the first field that is invalid, with the reason.
     fn problem(&self) -> Option<String> {
@@ -51,16 +51,16 @@ pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
 
 /// Version and number of a shard in `shard.json`. The rest is read only if the version is known.
 #[derive(Deserialize)]
-struct Header {
+struct ShardHeader {
     version: u32,
-    shard: Shard,
+    shard: ShardId,
 }
 
 /// The file `shard.json`.
 #[derive(Serialize)]
 struct ShardFile<'a, W> {
     version: u32,
-    shard: Shard,
+    shard: ShardId,
     #[serde(flatten)]
     work: &'a W,
 }
@@ -69,19 +69,19 @@ struct ShardFile<'a, W> {
 ///
 /// # Errors
 /// [`WorkError`] if the folder cannot be used, or holds other work: the error names the field that differs.
-pub fn open_shard<W: Sharded>(work: &W, shard: Shard, folder: &Path, resume: bool) -> Result<Work, WorkError> {
+pub fn open_shard<W: Sharded>(work: &W, shard: ShardId, folder: &Path, resume: bool) -> Result<RunFolder, RunFolderError> {
     let file = ShardFile { version: W::VERSION, shard, work };
     let text = if W::IS_PRETTY { serde_json::to_string_pretty(&file) } else { serde_json::to_string(&file) };
-    let text = text.map_err(|error| DiskError::at(&folder.join(SHARD))(error.into()))? + "\n";
-    let outputs = &[SHARD, W::RESULTS];
-    let asked = Asked { kind: W::KIND, configuration: &text, configuration_file: SHARD, resume, outputs };
-    let opened = Work::open(folder, asked).map_err(|error| match error {
-        WorkError::OtherConfiguration { path, kind, found } => {
-            WorkError::Differing(difference::in_json(&path, &kind, &found, &text))
+    let text = text.map_err(|error| DiskError::at(&folder.join(SHARD_FILE))(error.into()))? + "\n";
+    let outputs = &[SHARD_FILE, W::RESULTS_FILE];
+    let asked = RunFolderOptions { kind: W::KIND, configuration: &text, configuration_file: SHARD_FILE, resume, outputs };
+    let opened = RunFolder::open(folder, asked).map_err(|error| match error {
+        RunFolderError::OtherConfiguration { path, kind, found } => {
+            RunFolderError::ConfigurationDiffers(difference::describe_json(&path, &kind, &found, &text))
         }
         other => other,
     })?;
-    opened.write(SHARD, text)?;
+    opened.write(SHARD_FILE, text)?;
     Ok(opened)
 }
 
@@ -89,59 +89,59 @@ pub fn open_shard<W: Sharded>(work: &W, shard: Shard, folder: &Path, resume: boo
 ///
 /// # Errors
 /// [`WorkError`] if the file is not as it was written, of another version, or invalid.
-pub fn read_shard<W: Sharded>(found: &Finished) -> Result<(Shard, W, Range<u64>), WorkError> {
-    let text = found.read_configuration(SHARD)?;
-    let unreadable = |error| found.unreadable(SHARD, &error);
-    let Header { version, shard } = serde_json::from_str(&text).map_err(unreadable)?;
+pub fn read_shard<W: Sharded>(found: &CompletedRun) -> Result<(ShardId, W, Range<u64>), RunFolderError> {
+    let text = found.read_configuration(SHARD_FILE)?;
+    let unreadable = |error| found.unreadable_error(SHARD_FILE, &error);
+    let ShardHeader { version, shard } = serde_json::from_str(&text).map_err(unreadable)?;
     if version != W::VERSION {
         let problem = format!("version: {version}, and this release reads {}", W::VERSION);
-        return Err(found.damaged(SHARD, problem));
+        return Err(found.damaged_error(SHARD_FILE, problem));
     }
     let work: W = serde_json::from_str(&text).map_err(unreadable)?;
     if let Some(problem) = work.problem() {
-        return Err(found.damaged(SHARD, problem));
+        return Err(found.damaged_error(SHARD_FILE, problem));
     }
-    let own = shard.range(work.parts(), W::PARTS).map_err(|error| found.damaged(SHARD, error))?;
+    let own = shard.range(work.part_count(), W::PARTS_NAME).map_err(|error| found.damaged_error(SHARD_FILE, error))?;
     Ok((shard, work, own))
 }
 
 /// The most shards that work is divided into.
-pub const MOST_SHARDS: u32 = 10_000;
+pub const MAX_SHARDS: u32 = 10_000;
 
 /// Shard I of N, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Shard {
-    of: u32,
+pub struct ShardId {
+    count: u32,
     index: u32,
 }
 
 /// What is no shard.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no shard: write I/N, shard I of N, with 1 <= I <= N <= {MOST_SHARDS}")]
-pub struct NoShard(String);
+#[error("`{0}` is no shard: write I/N, shard I of N, with 1 <= I <= N <= {MAX_SHARDS}")]
+pub struct InvalidShard(String);
 
 /// Work with fewer parts than shards were asked for: some would be empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("shard {shard}: there are {parts} {what}, which make {parts} shards at most")]
+#[error("shard {shard}: there are {parts} {parts_name}, which make {parts} shards at most")]
 pub struct TooManyShards {
     /// What was asked for.
-    pub shard: Shard,
+    pub shard: ShardId,
     /// What there is to divide.
     pub parts: u64,
     /// What that is, in the plural.
-    pub what: &'static str,
+    pub parts_name: &'static str,
 }
 
-impl Shard {
+impl ShardId {
     /// Shard `index` of `of`, counted from 1.
     ///
     /// # Errors
-    /// [`NoShard`] unless 1 ≤ `index` ≤ `of` ≤ [`MOST_SHARDS`].
-    pub fn new(index: u32, of: u32) -> Result<Self, NoShard> {
-        match (1..=of).contains(&index) && of <= MOST_SHARDS {
-            true => Ok(Self { of, index }),
-            false => Err(NoShard(format!("{index}/{of}"))),
+    /// [`InvalidShard`] unless 1 ≤ `index` ≤ `of` ≤ [`MAX_SHARDS`].
+    pub fn new(index: u32, of: u32) -> Result<Self, InvalidShard> {
+        match (1..=of).contains(&index) && of <= MAX_SHARDS {
+            true => Ok(Self { count: of, index }),
+            false => Err(InvalidShard(format!("{index}/{of}"))),
         }
     }
 
@@ -153,8 +153,8 @@ impl Shard {
 
     /// Of how many.
     #[must_use]
-    pub fn of(self) -> u32 {
-        self.of
+    pub fn count(self) -> u32 {
+        self.count
     }
 
     /// Its share of `parts` that come in order, counted from 0: ranges of shards 1 to N follow each other, and their lengths differ
@@ -163,48 +163,48 @@ impl Shard {
     /// # Errors
     /// [`TooManyShards`] if some shard would have nothing to do; `what` names the parts.
     pub fn range(self, parts: u64, what: &'static str) -> Result<Range<u64>, TooManyShards> {
-        if u64::from(self.of) > parts {
-            return Err(TooManyShards { shard: self, parts, what });
+        if u64::from(self.count) > parts {
+            return Err(TooManyShards { shard: self, parts, parts_name: what });
         }
         // Of at most 2^64 parts, so that the quotient is no larger.
-        let before = |shards: u32| (u128::from(parts) * u128::from(shards) / u128::from(self.of)) as u64;
+        let before = |shards: u32| (u128::from(parts) * u128::from(shards) / u128::from(self.count)) as u64;
         Ok(before(self.index - 1)..before(self.index))
     }
 }
 
-impl fmt::Display for Shard {
+impl fmt::Display for ShardId {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}/{}", self.index, self.of)
+        write!(out, "{}/{}", self.index, self.count)
     }
 }
 
-impl From<Shard> for String {
-    fn from(shard: Shard) -> Self {
+impl From<ShardId> for String {
+    fn from(shard: ShardId) -> Self {
         shard.to_string()
     }
 }
 
-impl TryFrom<String> for Shard {
-    type Error = NoShard;
+impl TryFrom<String> for ShardId {
+    type Error = InvalidShard;
 
-    fn try_from(text: String) -> Result<Self, NoShard> {
+    fn try_from(text: String) -> Result<Self, InvalidShard> {
         text.parse()
     }
 }
 
-impl FromStr for Shard {
-    type Err = NoShard;
+impl FromStr for ShardId {
+    type Err = InvalidShard;
 
-    fn from_str(text: &str) -> Result<Self, NoShard> {
+    fn from_str(text: &str) -> Result<Self, InvalidShard> {
         let number = |digits: &str| digits.parse().ok().filter(|number: &u32| number.to_string() == digits);
         let shard = text.split_once('/').and_then(|(index, of)| Self::new(number(index)?, number(of)?).ok());
-        shard.ok_or_else(|| NoShard(text.to_owned()))
+        shard.ok_or_else(|| InvalidShard(text.to_owned()))
     }
 }
 
 /// Numbers as the arrays of Slurm and HyperQueue take them: `1,4-6`. They have to be in order.
 #[must_use]
-pub fn as_array(numbers: &[u32]) -> String {
+pub fn format_ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<Range<u32>> = Vec::new();
     for &number in numbers {
         match runs.last_mut() {
@@ -228,7 +228,7 @@ mod tests {
         /// Together the shards are everything, in order and once, and none is empty.
         #[test]
         fn shards_divide_whatever_there_is(parts in 1..=u64::MAX, of in 1..=200_u32) {
-            let shards = (1..=of).map(|index| Shard::new(index, of).unwrap());
+            let shards = (1..=of).map(|index| ShardId::new(index, of).unwrap());
             let ranges: Vec<_> = shards.map(|shard| shard.range(parts, "parts")).collect();
             if u64::from(of) > parts {
                 prop_assert!(ranges.iter().all(Result::is_err));
@@ -244,9 +244,9 @@ mod tests {
         }
 
         #[test]
-        fn a_shard_is_read_as_it_is_written(of in 1..=MOST_SHARDS, index in 1..=MOST_SHARDS) {
+        fn a_shard_is_read_as_it_is_written(of in 1..=MAX_SHARDS, index in 1..=MAX_SHARDS) {
             prop_assume!(index <= of);
-            let shard = Shard::new(index, of).unwrap();
+            let shard = ShardId::new(index, of).unwrap();
             prop_assert_eq!(shard.to_string().parse(), Ok(shard));
         }
     }
@@ -269,7 +269,7 @@ mod tests {
             "-1/3",
             "1/99999999999",
         ] {
-            assert_eq!(text.parse::<Shard>(), Err(NoShard(text.to_owned())));
+            assert_eq!(text.parse::<ShardId>(), Err(InvalidShard(text.to_owned())));
         }
     }
 

@@ -29,7 +29,7 @@ pub trait BuiltIn {
     /// What it is for.
     const ROLE: Role = Role::Rule;
     /// The numbers that decide how it drives.
-    type Settings: Settings;
+    type Settings: ControllerSettings;
     /// What drives.
     type Driver: Controller;
 
@@ -64,7 +64,7 @@ macro_rules! define {
         impl ControllerSpec {
             /// Every built-in controller with its default settings, in the order `crumple list controllers` shows them.
             #[must_use]
-            pub fn built_in() -> Vec<Self> {
+            pub fn all() -> Vec<Self> {
                 let mut all = vec![$(Self::$rule(Default::default()),)* $(Self::$policy(Default::default()),)*];
                 all.sort_by_key(Self::role);
                 all
@@ -88,7 +88,7 @@ macro_rules! define {
             /// A process.
             Process(Box<ProcessDriver>),
             /// Any controller behind a shield.
-            Shielded(Shield),
+            Shielded(ShieldedController),
             /// A controller from outside.
             Custom(ZeroOrderHold),
             /// A controller that could not be started.
@@ -112,7 +112,7 @@ macro_rules! define {
 
         impl AnyController {
             /// Builds a built-in controller for a vehicle. `seed` is the scenario's.
-            pub(crate) fn built_in(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
+            pub(crate) fn from_spec(spec: &ControllerSpec, ego: &Ego, seed: u64) -> Self {
                 match spec {
                     $(ControllerSpec::$rule(settings) => Self::$rule($rule::start(settings, ego, seed)),)*
                     $(ControllerSpec::$policy(settings) => Self::Policy($known_by::start(settings, ego, seed)),)*
@@ -128,7 +128,7 @@ with_controllers!(define);
 #[non_exhaustive]
 pub enum InvalidSetting {
     /// No such setting.
-    #[error("`{found}` is no setting of {controller}: {}", known_settings(known))]
+    #[error("`{found}` is no setting of {controller}: {}", describe_known_settings(known))]
     Unknown {
         /// What was found.
         found: String,
@@ -139,7 +139,7 @@ pub enum InvalidSetting {
     },
     /// A setting that is given twice.
     #[error("{controller}: {name} is given twice")]
-    Twice {
+    Duplicate {
         /// The controller.
         controller: &'static str,
         /// The setting.
@@ -159,7 +159,7 @@ pub enum InvalidSetting {
     },
 }
 
-fn known_settings(known: &[Field]) -> String {
+fn describe_known_settings(known: &[Field]) -> String {
     match known {
         [] => "it has none".to_owned(),
         [first, ..] => {
@@ -172,8 +172,8 @@ fn known_settings(known: &[Field]) -> String {
 impl ControllerSpec {
     /// The built-in controller of that name with its default settings.
     #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::built_in().into_iter().find(|controller| controller.name() == name)
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::all().into_iter().find(|controller| controller.name() == name)
     }
 
     /// The built-in controller that words as on the command line stand for: a name, and settings that differ from the
@@ -189,7 +189,7 @@ impl ControllerSpec {
     #[must_use]
     pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
         let mut words = words.split(',');
-        let spec = Self::named(words.next()?)?;
+        let spec = Self::from_name(words.next()?)?;
         let mut given = Vec::new();
         Some(words.try_fold(spec, |mut spec, setting| {
             let (name, found) = setting.split_once('=').unwrap_or((setting, ""));
@@ -200,7 +200,7 @@ impl ControllerSpec {
             };
             let (name, range) = (field.name, field.range);
             if given.contains(&name) {
-                return Err(InvalidSetting::Twice { controller, name });
+                return Err(InvalidSetting::Duplicate { controller, name });
             }
             given.push(name);
             match found.parse::<f64>() {
@@ -213,7 +213,7 @@ impl ControllerSpec {
 
     /// The words that [`Self::parse`] reads as this: two equal specifications have the same.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn to_arg(&self) -> String {
         let default = self.with_default_settings();
         let set = self.values().zip(default.values()).filter(|(own, default)| own.1 != default.1);
         set.fold(self.name().to_owned(), |words, ((field, value), _)| format!("{words},{}={value}", field.name))
@@ -266,7 +266,7 @@ impl ControllerSpec {
     /// Starts the controller for a vehicle. `seed` is the scenario's.
     #[must_use]
     pub fn start(&self, ego: &Ego, seed: u64) -> Box<dyn Controller> {
-        Box::new(AnyController::built_in(self, ego, seed))
+        Box::new(AnyController::from_spec(self, ego, seed))
     }
 
     /// SHA-256, in hexadecimal, of what decides how it drives: of a policy's file, or of a rule's name and settings.

@@ -5,35 +5,35 @@
 use safetensors::tensor::{Dtype, TensorView};
 use serde::Serialize;
 
-use super::mapping::{Input, Output, Squash};
-use super::{InvalidMapping, NetworkController, Quantity};
-use crate::network::{Elementwise, FileFormat, Linear, Step};
+use super::mapping::{InputMapping, OutputMapping, Squash};
+use super::{InvalidMapping, NetworkController, ObservedQuantity};
+use crate::network::{Elementwise, NetworkFormat, Linear, Step};
 use crate::policy::ObservationScaling;
 
 /// The one metadata key.
-const KEY: &str = "crumple_network";
+const METADATA_KEY: &str = "crumple_network";
 const VERSION: u32 = 1;
 
 #[derive(Serialize)]
-struct Header<'a> {
+struct CheckerFileHeader<'a> {
     version: u32,
-    source: Source<'a>,
-    inputs: &'a [Input],
-    steps: Vec<Done>,
-    output: Answered,
+    source: CheckerFileSource<'a>,
+    inputs: &'a [InputMapping],
+    steps: Vec<CheckerFileStep>,
+    output: CheckerFileOutput,
     empty_gap_m: f64,
     decision_interval_s: f64,
 }
 
 #[derive(Serialize)]
-struct Source<'a> {
-    format: FileFormat,
+struct CheckerFileSource<'a> {
+    format: NetworkFormat,
     sha256: &'a str,
 }
 
 #[derive(Serialize)]
 #[serde(rename_all = "kebab-case")]
-enum Done {
+enum CheckerFileStep {
     Linear(usize),
     Relu,
     LeakyRelu(f64),
@@ -47,7 +47,7 @@ enum Done {
 }
 
 #[derive(Serialize)]
-struct Answered {
+struct CheckerFileOutput {
     answer: usize,
     scale_mps2: f64,
     offset_mps2: f64,
@@ -56,7 +56,7 @@ struct Answered {
 }
 
 /// Name, shape and bytes.
-type Tensor = (String, Vec<usize>, Vec<u8>);
+type NamedTensor = (String, Vec<usize>, Vec<u8>);
 
 impl NetworkController {
     /// The file by which the checker knows it.
@@ -82,20 +82,20 @@ impl NetworkController {
         let (mut steps, mut tensors) = (Vec::new(), Vec::new());
         let mut width = self.network().inputs();
         for (index, step) in self.network().steps().iter().enumerate() {
-            steps.push(written(step, index, width, &mut tensors));
+            steps.push(serialize_step(step, index, width, &mut tensors));
             if let Step::Linear(Linear { biases, .. }) = step {
                 width = biases.len();
             }
         }
-        let Output { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } = mapping.output;
+        let OutputMapping { answer, variable: _, squash, scale_mps2, offset_mps2, low_mps2, high_mps2 } = mapping.output;
         // The same function of the same single-precision number.
-        steps.extend(squash.map(|Squash::Tanh| Done::Tanh));
-        let header = Header {
+        steps.extend(squash.map(|Squash::Tanh| CheckerFileStep::Tanh));
+        let header = CheckerFileHeader {
             version: VERSION,
-            source: Source { format: self.file().format(), sha256: &self.file().sha256 },
+            source: CheckerFileSource { format: self.file().format(), sha256: &self.file().sha256 },
             inputs: &mapping.inputs,
             steps,
-            output: Answered { answer: answer.unwrap_or_default(), scale_mps2, offset_mps2, low_mps2, high_mps2 },
+            output: CheckerFileOutput { answer: answer.unwrap_or_default(), scale_mps2, offset_mps2, low_mps2, high_mps2 },
             empty_gap_m: ObservationScaling::default().empty_gap_m,
             decision_interval_s,
         };
@@ -103,27 +103,27 @@ impl NetworkController {
         let text = serde_json::to_string(&header).map_err(|error| unwritten(error.to_string()))?;
         let views = tensors
             .iter()
-            .map(|(name, shape, bytes): &Tensor| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .map(|(name, shape, bytes): &NamedTensor| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>();
         views
-            .and_then(|views| safetensors::serialize(views, Some([(KEY.to_owned(), text)].into())))
+            .and_then(|views| safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into())))
             .map_err(|error| unwritten(error.to_string()))
     }
 }
 
 /// What stands against a quantity.
-fn why_not_affine(quantity: Quantity) -> Option<&'static str> {
+fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
     match quantity {
-        Quantity::TimeGapAheadS | Quantity::TimeGapBehindS => {
+        ObservedQuantity::TimeGapAheadS | ObservedQuantity::TimeGapBehindS => {
             Some("is a quotient of what is observed, and only sums and differences can be followed")
         }
-        Quantity::LastAnswerMps2 => Some("is memory, and only a network without memory can be followed"),
+        ObservedQuantity::LastAnswerMps2 => Some("is memory, and only a network without memory can be followed"),
         _ => None,
     }
 }
 
 /// A step as it is written, its numbers into `tensors`.
-fn written(step: &Step, index: usize, width: usize, tensors: &mut Vec<Tensor>) -> Done {
+fn serialize_step(step: &Step, index: usize, width: usize, tensors: &mut Vec<NamedTensor>) -> CheckerFileStep {
     let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
         let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), bytes));
@@ -132,27 +132,27 @@ fn written(step: &Step, index: usize, width: usize, tensors: &mut Vec<Tensor>) -
         Step::Linear(Linear { weights, biases }) => {
             add("weight", &[width, biases.len()], weights);
             add("bias", &[biases.len()], biases);
-            return Done::Linear(biases.len());
+            return CheckerFileStep::Linear(biases.len());
         }
         Step::Each(each) => each,
     };
     match each {
-        Elementwise::Relu => Done::Relu,
-        Elementwise::LeakyRelu { slope } => Done::LeakyRelu(f64::from(*slope)),
-        Elementwise::Elu { alpha } => Done::Elu(f64::from(*alpha)),
-        Elementwise::Tanh => Done::Tanh,
-        Elementwise::Sigmoid => Done::Sigmoid,
+        Elementwise::Relu => CheckerFileStep::Relu,
+        Elementwise::LeakyRelu { slope } => CheckerFileStep::LeakyRelu(f64::from(*slope)),
+        Elementwise::Elu { alpha } => CheckerFileStep::Elu(f64::from(*alpha)),
+        Elementwise::Tanh => CheckerFileStep::Tanh,
+        Elementwise::Sigmoid => CheckerFileStep::Sigmoid,
         Elementwise::Add(operands) => {
             add("operand", &[width], operands);
-            Done::Add
+            CheckerFileStep::Add
         }
         Elementwise::Multiply(operands) => {
             add("operand", &[width], operands);
-            Done::Multiply
+            CheckerFileStep::Multiply
         }
         Elementwise::Divide(operands) => {
             add("operand", &[width], operands);
-            Done::Divide
+            CheckerFileStep::Divide
         }
         Elementwise::Clip { low, high } => {
             // A missing limit is infinite, and no number of a network is larger than the largest there is.
@@ -160,7 +160,7 @@ fn written(step: &Step, index: usize, width: usize, tensors: &mut Vec<Tensor>) -
                 |limits: &[f32]| limits.iter().map(|limit| limit.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
             add("low", &[width], &finite(low));
             add("high", &[width], &finite(high));
-            Done::Clip
+            CheckerFileStep::Clip
         }
     }
 }

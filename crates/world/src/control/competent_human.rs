@@ -15,14 +15,14 @@
 //! a vehicle 1.9 m wide from the middle of a lane 3.5 m wide has come 0.3 m into the next lane. There UN R157, 5.2.5.2, begins to count.
 //! The driver therefore reacts as soon as a vehicle is in the lane.
 
-use super::reaction::{Noticed, Ramp, whole_steps};
+use super::reaction::{ReactionTimer, BrakeRamp, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
 /// Difference between the observed and the expected gap from which on another vehicle is ahead, in metres: vehicles are longer, and
 /// estimated gaps jump by less.
-const OTHER_VEHICLE_M: f64 = 1.0;
+const NEW_LEADER_GAP_JUMP_M: f64 = 1.0;
 
 settings! {
     /// Settings of the competent and careful human driver of UN R157.
@@ -56,16 +56,16 @@ pub struct CompetentHuman {
     step_s: f64,
     perception_steps: u32,
     reaction_steps: u32,
-    followed: Option<Followed>,
+    leader: Option<LeaderPrediction>,
     /// Steps until the foot leaves the pedal; none without a risk.
-    releases_in_steps: Option<u32>,
-    released: Noticed,
-    braking: Ramp,
+    steps_to_release: Option<u32>,
+    release_timer: ReactionTimer,
+    brake_ramp: BrakeRamp,
 }
 
 /// The vehicle ahead at the last step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Followed {
+struct LeaderPrediction {
     gap_m: f64,
     /// Its gap at the next step if no vehicle changes the lane.
     next_gap_m: f64,
@@ -86,10 +86,10 @@ impl BuiltIn for CompetentHuman {
             step_s: ego.step_s,
             perception_steps: whole_steps(settings.risk_perception_s, ego.step_s),
             reaction_steps: whole_steps(settings.reaction_s, ego.step_s),
-            followed: None,
-            releases_in_steps: None,
-            released: Noticed::default(),
-            braking: Ramp::new(settings.coasting_mps2, settings.jerk_mps3, ego.step_s),
+            leader: None,
+            steps_to_release: None,
+            release_timer: ReactionTimer::default(),
+            brake_ramp: BrakeRamp::new(settings.coasting_mps2, settings.jerk_mps3, ego.step_s),
         }
     }
 }
@@ -97,19 +97,19 @@ impl BuiltIn for CompetentHuman {
 impl CompetentHuman {
     /// Returns the steps after which the foot leaves the pedal because of what is ahead now; none without a risk.
     #[inline]
-    fn risk(&mut self, speed_mps: f64, ahead: &Neighbour) -> Option<u32> {
+    fn steps_until_release(&mut self, speed_mps: f64, ahead: &Neighbour) -> Option<u32> {
         let CompetentHumanSettings { risk_brake_mps2, risk_speed_mps, risk_ttc_s, risk_time_gap_s, .. } = self.settings;
         let coasted_mps = self.settings.coasting_mps2 * self.step_s;
-        let before = self.followed;
+        let before = self.leader;
         let appeared_m = before.map(|before| ahead.gap_m - before.next_gap_m);
-        let same = before.filter(|_| appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= OTHER_VEHICLE_M));
+        let same = before.filter(|_| appeared_m.is_some_and(|appeared_m| appeared_m.abs() <= NEW_LEADER_GAP_JUMP_M));
         let closing_mps = speed_mps - ahead.speed_mps;
         let coasting_mps = same.map_or(ahead.speed_mps, |same| ahead.speed_mps.max(same.coasting_mps - coasted_mps));
-        self.followed =
-            Some(Followed { gap_m: ahead.gap_m, next_gap_m: ahead.gap_m - closing_mps * self.step_s, coasting_mps });
+        self.leader =
+            Some(LeaderPrediction { gap_m: ahead.gap_m, next_gap_m: ahead.gap_m - closing_mps * self.step_s, coasting_mps });
 
-        let cuts_out = before.is_some_and(|before| before.gap_m <= risk_time_gap_s * speed_mps + OTHER_VEHICLE_M)
-            && appeared_m.is_some_and(|appeared_m| appeared_m > OTHER_VEHICLE_M)
+        let cuts_out = before.is_some_and(|before| before.gap_m <= risk_time_gap_s * speed_mps + NEW_LEADER_GAP_JUMP_M)
+            && appeared_m.is_some_and(|appeared_m| appeared_m > NEW_LEADER_GAP_JUMP_M)
             && closing_mps > risk_speed_mps;
         let is_near = closing_mps > 0.0 && ahead.gap_m <= risk_ttc_s * closing_mps;
         let brakes = ahead.acceleration_mps2 < -risk_brake_mps2 || coasting_mps - ahead.speed_mps > risk_speed_mps;
@@ -121,16 +121,16 @@ impl Controller for CompetentHuman {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let risk = match &seen.ahead {
-            Some(ahead) => self.risk(seen.speed_mps, ahead),
+            Some(ahead) => self.steps_until_release(seen.speed_mps, ahead),
             None => {
-                self.followed = None;
+                self.leader = None;
                 None
             }
         };
-        let left = self.releases_in_steps.map(|steps| steps.saturating_sub(1));
-        self.releases_in_steps = left.into_iter().chain(risk).min();
-        Ok(match self.released.steps(self.releases_in_steps == Some(0)) {
-            Some(steps) if steps >= self.reaction_steps => -self.braking.towards(self.settings.brake_mps2),
+        let left = self.steps_to_release.map(|steps| steps.saturating_sub(1));
+        self.steps_to_release = left.into_iter().chain(risk).min();
+        Ok(match self.release_timer.tick(self.steps_to_release == Some(0)) {
+            Some(steps) if steps >= self.reaction_steps => -self.brake_ramp.step_towards(self.settings.brake_mps2),
             Some(_) => -self.settings.coasting_mps2,
             None => 0.0,
         })

@@ -1,6 +1,6 @@
 //! Braking at one rate as soon as the vehicle ahead brakes: the other trivial controller.
 
-use super::reaction::{Noticed, whole_steps};
+use super::reaction::{ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
 use crate::settings::settings;
@@ -23,7 +23,7 @@ pub struct ConstantBrake {
     rate_mps2: f64,
     trigger_mps2: f64,
     delay_steps: u32,
-    seen: Noticed,
+    trigger_timer: ReactionTimer,
 }
 
 impl BuiltIn for ConstantBrake {
@@ -37,7 +37,7 @@ impl BuiltIn for ConstantBrake {
             rate_mps2: settings.rate_mps2,
             trigger_mps2: settings.trigger_mps2,
             delay_steps: whole_steps(settings.delay_s, ego.step_s),
-            seen: Noticed::default(),
+            trigger_timer: ReactionTimer::default(),
         }
     }
 }
@@ -46,7 +46,7 @@ impl Controller for ConstantBrake {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let is_braking = seen.ahead.is_some_and(|ahead| ahead.acceleration_mps2 < -self.trigger_mps2);
-        Ok(if self.seen.steps(is_braking) >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
+        Ok(if self.trigger_timer.tick(is_braking) >= Some(self.delay_steps) { -self.rate_mps2 } else { 0.0 })
     }
 }
 

@@ -3,7 +3,7 @@
 //! After K. Mattas et al., *Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk*, Accident Analysis
 //! and Prevention 148 (2020) 105794. Formulas and numbers are as the authors' public implementation has them, written anew here.
 
-use super::reaction::{Noticed, Ramp, whole_steps};
+use super::reaction::{ReactionTimer, BrakeRamp, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role, STANDARD_GRAVITY_MPS2};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
@@ -81,7 +81,7 @@ impl FuzzySafetySettings {
     }
 
     /// The braking that the two metrics ask for, in m/s², positive: 0 where both are 0.
-    fn asked_mps2(&self, seen: &Observation) -> f64 {
+    fn demanded_brake_mps2(&self, seen: &Observation) -> f64 {
         let Some(ahead) = seen.ahead else { return 0.0 };
         let critical = self.critical(seen.speed_mps, seen.acceleration_mps2, &ahead);
         let asked_mps2 = if critical > 0.0 {
@@ -99,8 +99,8 @@ impl FuzzySafetySettings {
 pub struct FuzzySafety {
     settings: FuzzySafetySettings,
     reaction_steps: u32,
-    noticed: Noticed,
-    braking: Ramp,
+    reaction_timer: ReactionTimer,
+    brake_ramp: BrakeRamp,
 }
 
 impl BuiltIn for FuzzySafety {
@@ -115,8 +115,8 @@ impl BuiltIn for FuzzySafety {
         Self {
             settings: settings.clone(),
             reaction_steps: whole_steps(settings.reaction_s, ego.step_s),
-            noticed: Noticed::default(),
-            braking: Ramp::new(0.0, settings.jerk_mps3, ego.step_s),
+            reaction_timer: ReactionTimer::default(),
+            brake_ramp: BrakeRamp::new(0.0, settings.jerk_mps3, ego.step_s),
         }
     }
 }
@@ -124,10 +124,10 @@ impl BuiltIn for FuzzySafety {
 impl Controller for FuzzySafety {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let asked_mps2 = self.settings.asked_mps2(seen);
-        let reacts = self.noticed.steps(asked_mps2 > 0.0) >= Some(self.reaction_steps);
+        let asked_mps2 = self.settings.demanded_brake_mps2(seen);
+        let reacts = self.reaction_timer.tick(asked_mps2 > 0.0) >= Some(self.reaction_steps);
         // Zero minus: a driver who does nothing commands 0, not -0.
-        Ok(if reacts { 0.0 - self.braking.towards(asked_mps2) } else { 0.0 })
+        Ok(if reacts { 0.0 - self.brake_ramp.step_towards(asked_mps2) } else { 0.0 })
     }
 }
 

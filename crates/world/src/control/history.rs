@@ -4,11 +4,11 @@ use super::{HistoryPadding, Mapping};
 
 /// What was seen at the last decisions, as many as the mapping looks back on; empty before the first, or if it does not look back.
 #[derive(Default)]
-pub(super) struct History<T>(Vec<T>);
+pub(super) struct InputHistory<T>(Vec<T>);
 
-impl<T: Copy + Default> History<T> {
+impl<T: Copy + Default> InputHistory<T> {
     /// Appends to `into` what a controller sees at a decision, in the order that the mapping says.
-    pub(super) fn look_back(&mut self, mapping: &Mapping, now: impl Iterator<Item = T>, into: &mut Vec<T>) {
+    pub(super) fn push(&mut self, mapping: &Mapping, now: impl Iterator<Item = T>, into: &mut Vec<T>) {
         if mapping.history == 1 {
             return into.extend(now);
         }
@@ -48,10 +48,10 @@ mod tests {
             let own = Mapping::own();
             let inputs = own.inputs.iter().take(2).cloned().collect();
             let mapping = Mapping { history: 3, history_padding: padding, newest_first, inputs, ..own };
-            let mut history = History::default();
+            let mut history = InputHistory::default();
             let seen = [[1, 2], [3, 4]].map(|now| {
                 let mut row = Vec::new();
-                history.look_back(&mapping, now.into_iter(), &mut row);
+                history.push(&mapping, now.into_iter(), &mut row);
                 row
             });
             assert_eq!(seen, wanted);

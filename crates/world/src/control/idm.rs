@@ -18,7 +18,7 @@ impl BuiltIn for Idm {
 impl Controller for Idm {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.wanted_mps2(seen))
+        Ok(self.desired_acceleration_mps2(seen))
     }
 }
 

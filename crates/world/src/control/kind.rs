@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{
-    ControllerFailure, ControllerSource, ControllerSpec, Ego, Needs, NetworkController, ProcessController,
+    ControllerFailure, ControllerSource, ControllerSpec, Ego, RequiredNeighbours, NetworkController, ProcessController,
     ShieldSettings,
 };
 use crate::policy::Policy;
@@ -13,7 +13,7 @@ use crumple_core::digest::sha256;
 
 /// A controller behind a shield.
 #[derive(Clone)]
-pub struct Shielded {
+pub struct ShieldedSource {
     /// Controller that drives as long as the shield admits its commands.
     pub controller: ControllerKind,
     /// Settings of the user.
@@ -32,7 +32,7 @@ pub enum ControllerKind {
     /// A process.
     Process(Arc<ProcessController>),
     /// Any of these behind a shield.
-    Shielded(Arc<Shielded>),
+    Shielded(Arc<ShieldedSource>),
     /// A controller from outside.
     Custom(Arc<dyn ControllerSource>),
 }
@@ -74,9 +74,9 @@ impl ControllerKind {
 
     /// Returns what may be wrong with the controller, a line each: mismatches of a network's mapping and the spaces of its training.
     #[must_use]
-    pub fn doubts(&self) -> Vec<String> {
+    pub fn warnings(&self) -> Vec<String> {
         match self.unshielded() {
-            Self::Network(network) => network.doubts(),
+            Self::Network(network) => network.warnings(),
             _ => Vec::new(),
         }
     }
@@ -111,7 +111,7 @@ impl ControllerKind {
 
     /// Returns true for a controller from outside that can fail, behind a shield or not. A network cannot.
     #[must_use]
-    pub fn is_from_outside(&self) -> bool {
+    pub fn is_external(&self) -> bool {
         matches!(self.unshielded(), Self::Process(_) | Self::Custom(_))
     }
 
@@ -146,23 +146,23 @@ impl ControllerKind {
     }
 
     /// Returns true if its runs can be made in lockstep: a process that does not answer in batches is needed once for each run.
-    pub(crate) fn steps_together(&self, ego: impl FnOnce() -> Ego) -> bool {
+    pub(crate) fn supports_lockstep(&self, ego: impl FnOnce() -> Ego) -> bool {
         match self.unshielded() {
-            Self::Process(process) => process.takes_batches(&ego()),
+            Self::Process(process) => process.supports_batches(&ego()),
             _ => true,
         }
     }
 
-    pub(crate) fn needs(&self) -> Needs {
+    pub(crate) fn required_neighbours(&self) -> RequiredNeighbours {
         match self.unshielded() {
-            Self::Custom(source) => source.needs(),
-            _ => Needs::Nothing,
+            Self::Custom(source) => source.required_neighbours(),
+            _ => RequiredNeighbours::Nothing,
         }
     }
 }
 
-impl From<Shielded> for ControllerKind {
-    fn from(shielded: Shielded) -> Self {
+impl From<ShieldedSource> for ControllerKind {
+    fn from(shielded: ShieldedSource) -> Self {
         Self::Shielded(Arc::new(shielded))
     }
 }

@@ -2,31 +2,31 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Quantity;
+use super::ObservedQuantity;
 use crate::observation::Observation;
 use crate::policy::{ActionBounds, ObservationScaling};
 
 /// Beyond plus and minus this a number that a network sees is cut, unless its input says otherwise.
-const FARTHEST: f64 = 1e6;
+const INPUT_CLIP: f64 = 1e6;
 
 /// Most inputs of a mapping, and most decisions that it looks back on.
-const MOST_INPUTS: usize = 4096;
-const MOST_HISTORY: usize = 1000;
+const MAX_INPUTS: usize = 4096;
+const MAX_HISTORY: usize = 1000;
 
 /// Largest answer of a process without a controller file either way, in m/s²: no vehicle of a scenario may do more.
-const MOST_PLAIN_MPS2: f64 = 30.0;
+const MAX_ANSWER_MPS2: f64 = 30.0;
 
 /// Time between the decisions of crumple's own policies, in seconds.
-const OWN_INTERVAL_S: f64 = 0.1;
+const NATIVE_INTERVAL_S: f64 = 0.1;
 
 /// One number that a controller sees: (quantity - offset) / scale, cut to lie between low and high; or a constant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Input {
+pub struct InputMapping {
     /// What is seen; either this or a constant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub quantity: Option<Quantity>,
+    pub quantity: Option<ObservedQuantity>,
     /// The input of an FMU that it is set to; the one called like the quantity unless it is said.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variable: Option<String>,
@@ -40,10 +40,10 @@ pub struct Input {
     #[serde(default = "one")]
     pub scale: f64,
     /// The least that the controller sees.
-    #[serde(default = "least")]
+    #[serde(default = "default_low")]
     pub low: f64,
     /// The most that the controller sees.
-    #[serde(default = "most")]
+    #[serde(default = "default_high")]
     pub high: f64,
     /// The quantity where there is no such vehicle, before offset and scale. Without it, a vehicle 80 m away that drives as
     /// fast as the own one stands in.
@@ -55,12 +55,12 @@ fn one() -> f64 {
     1.0
 }
 
-fn least() -> f64 {
-    -FARTHEST
+fn default_low() -> f64 {
+    -INPUT_CLIP
 }
 
-fn most() -> f64 {
-    FARTHEST
+fn default_high() -> f64 {
+    INPUT_CLIP
 }
 
 /// What is done to an answer before it is scaled.
@@ -76,7 +76,7 @@ pub enum Squash {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Output {
+pub struct OutputMapping {
     /// The output of an FMU that is the answer; the only one, or `acceleration_mps2`, unless it is said.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variable: Option<String>,
@@ -130,9 +130,9 @@ pub struct Mapping {
     /// Whether the present inputs come first; otherwise they come last.
     pub newest_first: bool,
     /// What it sees, in order.
-    pub inputs: Vec<Input>,
+    pub inputs: Vec<InputMapping>,
     /// What it answers.
-    pub output: Output,
+    pub output: OutputMapping,
 }
 
 /// What is wrong with a mapping.
@@ -154,8 +154,8 @@ impl InvalidMapping {
 impl Mapping {
     /// That of crumple's own policies: the paper's eight numbers, and an answer from -1 to 1.
     #[must_use]
-    pub fn own() -> Self {
-        use Quantity as Q;
+    pub fn native() -> Self {
+        use ObservedQuantity as Q;
         let ObservationScaling { offset, scale, limit, empty_gap_m, history, history_every: _ } =
             ObservationScaling::default();
         let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
@@ -169,7 +169,7 @@ impl Mapping {
             Q::AccelerationMps2,
             Q::AccelerationBehindMps2,
         ];
-        let input = |(quantity, (offset, scale))| Input {
+        let input = |(quantity, (offset, scale))| InputMapping {
             quantity: Some(quantity),
             variable: None,
             constant: None,
@@ -180,12 +180,12 @@ impl Mapping {
             absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
         };
         Self {
-            decision_interval_s: Some(OWN_INTERVAL_S),
+            decision_interval_s: Some(NATIVE_INTERVAL_S),
             history,
             history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: order.into_iter().zip(offset.into_iter().zip(scale)).map(input).collect(),
-            output: Output {
+            output: OutputMapping {
                 variable: None,
                 answer: None,
                 squash: None,
@@ -200,8 +200,8 @@ impl Mapping {
     /// That of processes without a controller file: everything there is to see in its own unit, and an acceleration as the answer,
     /// which may be more than any vehicle can do.
     #[must_use]
-    pub fn plain() -> Self {
-        use Quantity as Q;
+    pub fn unscaled() -> Self {
+        use ObservedQuantity as Q;
         let order = [
             Q::GapAheadM,
             Q::RelativeSpeedAheadMps,
@@ -219,15 +219,15 @@ impl Mapping {
             history: 1,
             history_padding: HistoryPadding::First,
             newest_first: false,
-            inputs: order.map(Input::plain).into(),
-            output: Output {
+            inputs: order.map(InputMapping::unscaled).into(),
+            output: OutputMapping {
                 variable: None,
                 answer: None,
                 squash: None,
                 scale_mps2: 1.0,
                 offset_mps2: 0.0,
-                low_mps2: -MOST_PLAIN_MPS2,
-                high_mps2: MOST_PLAIN_MPS2,
+                low_mps2: -MAX_ANSWER_MPS2,
+                high_mps2: MAX_ANSWER_MPS2,
             },
         }
     }
@@ -248,12 +248,12 @@ impl Mapping {
             let problem = format!("must be positive, found {interval_s}");
             return Err(InvalidMapping::new("decision_interval_s", problem));
         }
-        if !(1..=MOST_HISTORY).contains(&self.history) {
-            let problem = format!("must be from 1 to {MOST_HISTORY}, found {}", self.history);
+        if !(1..=MAX_HISTORY).contains(&self.history) {
+            let problem = format!("must be from 1 to {MAX_HISTORY}, found {}", self.history);
             return Err(InvalidMapping::new("history", problem));
         }
-        if !(1..=MOST_INPUTS).contains(&self.inputs.len()) {
-            let problem = format!("must be 1 to {MOST_INPUTS}, found {}", self.inputs.len());
+        if !(1..=MAX_INPUTS).contains(&self.inputs.len()) {
+            let problem = format!("must be 1 to {MAX_INPUTS}, found {}", self.inputs.len());
             return Err(InvalidMapping::new("inputs", problem));
         }
         for (index, input) in self.inputs.iter().enumerate() {
@@ -266,8 +266,8 @@ impl Mapping {
 
     /// What the controller sees of an observation.
     #[inline]
-    pub fn see(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
-        self.inputs.iter().map(move |input| input.of(seen, last_answer_mps2))
+    pub fn input_values(&self, seen: &Observation, last_answer_mps2: f64) -> impl Iterator<Item = f64> {
+        self.inputs.iter().map(move |input| input.value(seen, last_answer_mps2))
     }
 
     /// Where each number that the controller sees lies.
@@ -286,7 +286,7 @@ impl Mapping {
             Some(Squash::Tanh) => libm::tanhf(answer),
             None => answer,
         };
-        let Output { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+        let OutputMapping { scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let wanted_mps2 = offset_mps2 + scale_mps2 * f64::from(answer);
         if wanted_mps2 > high_mps2 {
             high_mps2
@@ -299,8 +299,8 @@ impl Mapping {
 
     /// The acceleration that an answer means, and the range that it should not leave, in m/s².
     #[must_use]
-    pub(crate) fn wanted_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
-        let Output { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
+    pub(crate) fn acceleration_and_range_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
+        let OutputMapping { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let answer = match squash {
             Some(Squash::Tanh) => libm::tanh(answer),
             None => answer,
@@ -309,18 +309,18 @@ impl Mapping {
     }
 }
 
-impl Input {
+impl InputMapping {
     /// A quantity in its own unit.
     #[must_use]
-    pub fn plain(quantity: Quantity) -> Self {
+    pub fn unscaled(quantity: ObservedQuantity) -> Self {
         Self {
             quantity: Some(quantity),
             variable: None,
             constant: None,
             offset: 0.0,
             scale: 1.0,
-            low: least(),
-            high: most(),
+            low: default_low(),
+            high: default_high(),
             absent: None,
         }
     }
@@ -328,7 +328,7 @@ impl Input {
     /// What it is called: its quantity, or `constant`.
     #[must_use]
     pub fn name(&self) -> &'static str {
-        self.quantity.map_or("constant", Quantity::name)
+        self.quantity.map_or("constant", ObservedQuantity::name)
     }
 
     fn check(&self) -> Result<(), (&'static str, String)> {
@@ -343,7 +343,7 @@ impl Input {
             (Some(_), Some(_)) => {
                 return Err((".constant", "an input is a quantity or a constant, not both".to_owned()));
             }
-            (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_another() => {
+            (Some(quantity), None) if self.absent.is_some() && !quantity.is_of_neighbour() => {
                 return Err((".absent", "is for what is seen of another vehicle".to_owned()));
             }
             (None, Some(_)) if self.absent.is_some() => {
@@ -378,17 +378,17 @@ impl Input {
     }
 
     #[inline]
-    fn of(&self, seen: &Observation, last_answer_mps2: f64) -> f64 {
+    fn value(&self, seen: &Observation, last_answer_mps2: f64) -> f64 {
         let value = match (self.constant, self.quantity) {
             (Some(constant), _) => constant,
-            (None, Some(quantity)) => quantity.of(seen, last_answer_mps2, self.absent),
+            (None, Some(quantity)) => quantity.value(seen, last_answer_mps2, self.absent),
             (None, None) => 0.0,
         };
         self.scaled(value)
     }
 }
 
-impl Output {
+impl OutputMapping {
     fn check(&self) -> Result<(), (&'static str, String)> {
         let numbers = [
             ("scale_mps2", self.scale_mps2),

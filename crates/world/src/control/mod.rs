@@ -55,11 +55,11 @@ mod built_in;
 mod checker_file;
 mod competent_human;
 mod constant_brake;
-mod fit;
+mod space_check;
 mod fuzzy_safety;
 mod history;
 mod idm;
-mod interval;
+mod decision_timer;
 mod kind;
 mod mapping;
 mod match_leader;
@@ -73,7 +73,7 @@ mod rss;
 mod shield;
 mod source;
 mod stress;
-mod together;
+mod batch_query;
 
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
@@ -82,34 +82,34 @@ pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
-pub use kind::{ControllerKind, Shielded};
-pub use mapping::{HistoryPadding, Input, InvalidMapping, Mapping, Output, Squash};
+pub use kind::{ControllerKind, ShieldedSource};
+pub use mapping::{HistoryPadding, InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 pub use match_leader::MatchLeader;
 pub use network::NetworkController;
 pub(crate) use network::NetworkDriver;
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
 pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
-pub use process::fmu_host;
+pub use process::find_fmu_host;
 pub use process::{
-    FmuProblem, NamedBy, ProcessController, ProcessSetup, StartPermission, StartRefused, Wiring, allow_external,
+    FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission, StartRefusal, FmuConfig, allow_external,
     is_external_allowed,
 };
-pub use quantity::Quantity;
+pub use quantity::ObservedQuantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use shield::{
-    Behind, ErrorBounds, Frame, Kernel, MARGIN_M, Real, ShieldSettings, ShieldState, largest_closing_m, moved,
+    RearVehicleParams, ErrorBounds, ShieldParams, ViabilityKernel, MIN_MARGIN_M, Real, ShieldSettings, ShieldState, max_closing_m, distance_and_speed_after,
 };
-pub(crate) use shield::{MOST_MARGIN_M, Override, Shield, Travel};
+pub(crate) use shield::{MAX_MARGIN_M, Override, ShieldedController, MotionBounds};
 pub(crate) use source::ZeroOrderHold;
-pub use source::{BatchController, ControllerFailure, ControllerSource, Needs};
+pub use source::{BatchController, ControllerFailure, ControllerSource, RequiredNeighbours};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
 
 pub use crate::idm::{Idm, IdmSettings};
 use crate::observation::Observation;
-pub use crate::settings::{Field, NoSettings, Settings};
+pub use crate::settings::{SettingField, NoSettings, ControllerSettings};
 
 /// What a controller knows about its own vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -154,7 +154,7 @@ pub trait Controller: Send {
     /// Decides for many vehicles at once: `see` is called once for each controller, in order, and each controller does what
     /// it would have done by itself. The answers go to `commands_mps2`, failures with their place to `failed`.
     #[inline]
-    fn decide_together(
+    fn decide_batch(
         all: &mut [Self],
         mut see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
@@ -181,7 +181,7 @@ impl Controller for Box<dyn Controller> {
 ///
 /// By hand, since of 0 and -0 `f64::max` and `f64::min` may give either, and then engines that are compiled apart differ.
 #[inline]
-pub(crate) fn within(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
+pub(crate) fn clamp_command(command_mps2: f64, max_brake_mps2: f64, max_accel_mps2: f64) -> f64 {
     let command_mps2 = if command_mps2.is_nan() { 0.0 } else { command_mps2 };
     let command_mps2 = if command_mps2 < -max_brake_mps2 { -max_brake_mps2 } else { command_mps2 };
     if command_mps2 > max_accel_mps2 { max_accel_mps2 } else { command_mps2 }
@@ -196,7 +196,7 @@ pub(crate) mod tests {
         Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 2.0, step_s: 0.01 };
 
     /// An ego at `speed_mps` behind a vehicle `gap_m` ahead at `ahead_mps` that accelerates at `ahead_mps2`.
-    pub(crate) fn behind(speed_mps: f64, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> Observation {
+    pub(crate) fn leader_observation(speed_mps: f64, gap_m: f64, ahead_mps: f64, ahead_mps2: f64) -> Observation {
         let ahead = Neighbour { gap_m, speed_mps: ahead_mps, acceleration_mps2: ahead_mps2 };
         Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
     }

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::fit;
-use super::history::History;
-use super::interval::Interval;
+use super::space_check;
+use super::history::InputHistory;
+use super::decision_timer::DecisionTimer;
 use super::{Controller, ControllerFailure, Ego, InvalidMapping, Mapping};
 use crate::network::{FeedForward, NetworkFile};
 use crate::observation::Observation;
@@ -57,7 +57,7 @@ impl NetworkController {
         let refused = |error: crate::network::NetworkError| InvalidMapping::new("network", error.to_string());
         network.answer_ranges(&mapping.limits()).map_err(refused)?;
         if let Some(saved) = file.saved_model() {
-            fit::check(&mapping, saved)?;
+            space_check::check(&mapping, saved)?;
         }
         let written = serde_json::to_string(&mapping).map_err(|e| InvalidMapping::new("inputs", e.to_string()))?;
         let identity = sha256(format!("network {} {written}", file.sha256));
@@ -68,10 +68,10 @@ impl NetworkController {
     ///
     /// # Errors
     /// [`InvalidMapping`] if it sees other numbers, or does not answer with one from -1 to 1.
-    pub(crate) fn with_own_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
+    pub(crate) fn with_native_mapping(file: NetworkFile) -> Result<Self, InvalidMapping> {
         const ASK: &str =
             "write a controller file that says what it sees and what its answer means (docs/controllers.md)";
-        let mapping = Mapping::own();
+        let mapping = Mapping::native();
         let (inputs, outputs) = (file.network.inputs(), file.network.outputs());
         let refused = |problem: String| Err(InvalidMapping::new("network", format!("{problem}: {ASK}")));
         if inputs != mapping.width() || outputs != 1 {
@@ -80,7 +80,7 @@ impl NetworkController {
                 mapping.width()
             ));
         }
-        if let Some((low, high)) = file.saved_model().and_then(|saved| saved.actions.of(0))
+        if let Some((low, high)) = file.saved_model().and_then(|saved| saved.action_space.bounds(0))
             && !(low >= -1.0 && high <= 1.0)
         {
             return refused(format!(
@@ -120,8 +120,8 @@ impl NetworkController {
 
     /// What may be wrong with its mapping, by the spaces in which it was trained: nothing for a network that does not state them.
     #[must_use]
-    pub fn doubts(&self) -> Vec<String> {
-        let doubts = |saved| fit::doubts(&self.mapping, saved, self.normalised == Some(true));
+    pub fn warnings(&self) -> Vec<String> {
+        let doubts = |saved| space_check::warnings(&self.mapping, saved, self.normalised == Some(true));
         self.file.saved_model().map(doubts).unwrap_or_default()
     }
 
@@ -150,10 +150,10 @@ impl NetworkController {
     }
 
     /// The accelerations for `batch` rows of what is seen.
-    fn act(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
+    fn accelerations_mps2(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
         let width = self.file.network.outputs();
         let answer = self.mapping.output.answer.unwrap_or_default();
-        let answers = self.file.network.answers(rows, batch, space).chunks_exact(width);
+        let answers = self.file.network.forward(rows, batch, space).chunks_exact(width);
         answers.map(move |row| self.mapping.acceleration_mps2(row.get(answer).copied().unwrap_or(f32::NAN)))
     }
 }
@@ -161,52 +161,52 @@ impl NetworkController {
 /// Asks a network once every decision interval and holds its answer in between.
 pub(crate) struct NetworkDriver {
     controller: Arc<NetworkController>,
-    interval: Interval,
-    held_mps2: f64,
-    history: History<f32>,
+    decision_timer: DecisionTimer,
+    command_mps2: f64,
+    history: InputHistory<f32>,
     rows: Vec<f32>,
-    space: Workspace,
+    workspace: Workspace,
 }
 
 impl NetworkDriver {
     /// A network that drives a vehicle.
     #[must_use]
     pub(crate) fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
-        let interval = Interval::new(controller.mapping.decision_interval_s, ego.step_s);
+        let interval = DecisionTimer::new(controller.mapping.decision_interval_s, ego.step_s);
         Self {
             controller,
-            interval,
-            held_mps2: 0.0,
-            history: History::default(),
+            decision_timer: interval,
+            command_mps2: 0.0,
+            history: InputHistory::default(),
             rows: Vec::new(),
-            space: Workspace::default(),
+            workspace: Workspace::default(),
         }
     }
 
     /// Appends what the network sees now.
-    fn see(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
-        let Self { controller, history, held_mps2, .. } = self;
-        let now = controller.mapping.see(seen, *held_mps2).map(|value| value as f32);
-        history.look_back(&controller.mapping, now, rows);
+    fn push_inputs(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
+        let Self { controller, history, command_mps2: held_mps2, .. } = self;
+        let now = controller.mapping.input_values(seen, *held_mps2).map(|value| value as f32);
+        history.push(&controller.mapping, now, rows);
     }
 }
 
 impl Controller for NetworkDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.interval.is_due() {
+        if self.decision_timer.tick() {
             let mut rows = std::mem::take(&mut self.rows);
             rows.clear();
-            self.see(seen, &mut rows);
-            let Self { controller, space, .. } = self;
-            let answer_mps2 = controller.act(&rows, 1, space).next();
-            self.held_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
+            self.push_inputs(seen, &mut rows);
+            let Self { controller, workspace: space, .. } = self;
+            let answer_mps2 = controller.accelerations_mps2(&rows, 1, space).next();
+            self.command_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
             self.rows = rows;
         }
-        Ok(self.held_mps2)
+        Ok(self.command_mps2)
     }
 
     /// Those whose decision is due decide in one matrix product for each run of equal networks.
-    fn decide_together(
+    fn decide_batch(
         all: &mut [Self],
         mut see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
@@ -215,9 +215,9 @@ impl Controller for NetworkDriver {
         let (mut due, mut rows) = (Vec::new(), Vec::new());
         for (index, driver) in all.iter_mut().enumerate() {
             let observation = see(index);
-            if driver.interval.is_due() {
+            if driver.decision_timer.tick() {
                 due.push((index, Arc::clone(&driver.controller)));
-                driver.see(&observation, &mut rows);
+                driver.push_inputs(&observation, &mut rows);
             }
         }
         let mut rows = rows.as_slice();
@@ -226,12 +226,12 @@ impl Controller for NetworkDriver {
             let controller = &alike[0].1;
             let (now, later) = rows.split_at(alike.len() * controller.mapping.width());
             rows = later;
-            for ((index, _), answer_mps2) in alike.iter().zip(controller.act(now, alike.len(), &mut space)) {
-                all[*index].held_mps2 = answer_mps2;
+            for ((index, _), answer_mps2) in alike.iter().zip(controller.accelerations_mps2(now, alike.len(), &mut space)) {
+                all[*index].command_mps2 = answer_mps2;
             }
         }
         for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
-            *command_mps2 = driver.held_mps2;
+            *command_mps2 = driver.command_mps2;
         }
     }
 }

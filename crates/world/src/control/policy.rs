@@ -2,42 +2,42 @@
 
 use std::sync::Arc;
 
-use super::interval::Interval;
+use super::decision_timer::DecisionTimer;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, NoSettings, Role};
 use crate::observation::Observation;
-use crate::policy::{Held, Past, Policy, Workspace};
+use crate::policy::{HeldAction, FrameStack, Policy, Workspace};
 
 /// Asks a policy once every decision interval and holds its action in between.
 pub struct PolicyDriver {
     policy: Arc<Policy>,
-    interval: Interval,
-    past: Past,
-    held: Held,
+    decision_timer: DecisionTimer,
+    frame_stack: FrameStack,
+    held_action: HeldAction,
     step_s: f64,
-    space: Workspace,
+    workspace: Workspace,
 }
 
 impl PolicyDriver {
     /// A policy that drives a vehicle.
     #[must_use]
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
-        let interval = Interval::new(Some(policy.header().decision_interval_s), ego.step_s);
+        let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
         let (past, held, space) = Default::default();
-        Self { policy, interval, past, held, step_s: ego.step_s, space }
+        Self { policy, decision_timer: interval, frame_stack: past, held_action: held, step_s: ego.step_s, workspace: space }
     }
 }
 
 impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        if self.interval.is_due() {
-            let row = self.policy.look(seen, &mut self.past);
-            self.held.turn_to(self.policy.choose(row, &mut self.space));
+        if self.decision_timer.tick() {
+            let row = self.policy.observe(seen, &mut self.frame_stack);
+            self.held_action.set(self.policy.choose(row, &mut self.workspace));
         }
-        Ok(self.held.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
+        Ok(self.held_action.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
     }
 
     /// Those whose decision is due decide in one matrix product for each run of equal policies.
-    fn decide_together(
+    fn decide_batch(
         all: &mut [Self],
         mut see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
@@ -46,8 +46,8 @@ impl Controller for PolicyDriver {
         let all_seen: Vec<Observation> = (0..all.len()).map(&mut see).collect();
         let (mut due, mut rows) = (Vec::new(), Vec::new());
         for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
-            if driver.interval.is_due() {
-                let row = driver.policy.look(observation, &mut driver.past);
+            if driver.decision_timer.tick() {
+                let row = driver.policy.observe(observation, &mut driver.frame_stack);
                 rows.extend_from_slice(row);
                 due.push((index, row.len(), Arc::clone(&driver.policy)));
             }
@@ -59,13 +59,13 @@ impl Controller for PolicyDriver {
             let (now, later) = rows.split_at(alike.len() * width);
             rows = later;
             let mut actions = vec![0.0; alike.len()];
-            policy.choose_all(now, &mut space, &mut actions);
+            policy.choose_batch(now, &mut space, &mut actions);
             for ((index, ..), action) in alike.iter().zip(actions) {
-                all[*index].held.turn_to(action);
+                all[*index].held_action.set(action);
             }
         }
         for ((command_mps2, driver), seen) in commands_mps2.iter_mut().zip(all).zip(&all_seen) {
-            *command_mps2 = driver.held.acceleration_mps2(&driver.policy.header().action, seen, driver.step_s);
+            *command_mps2 = driver.held_action.acceleration_mps2(&driver.policy.header().action, seen, driver.step_s);
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::policy::ObservationScaling;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum Quantity {
+pub enum ObservedQuantity {
     /// Own speed.
     SpeedMps,
     /// Own acceleration over the last step.
@@ -43,7 +43,7 @@ pub enum Quantity {
     LastAnswerMps2,
 }
 
-impl Quantity {
+impl ObservedQuantity {
     const ALL: [Self; 15] = [
         Self::SpeedMps,
         Self::AccelerationMps2,
@@ -70,13 +70,13 @@ impl Quantity {
 
     /// The one of a name.
     #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|quantity| quantity.name() == name)
     }
 
     /// Where it lies most of the time where vehicles follow each other.
-    pub(super) fn ordinary(self) -> [f64; 2] {
-        use Quantity as Q;
+    pub(super) fn typical_range(self) -> [f64; 2] {
+        use ObservedQuantity as Q;
         match self {
             Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
             Q::GapAheadM | Q::GapBehindM => [10.0, 50.0],
@@ -92,7 +92,7 @@ impl Quantity {
     /// The name used in files and by processes.
     #[must_use]
     pub fn name(self) -> &'static str {
-        use Quantity as Q;
+        use ObservedQuantity as Q;
         match self {
             Q::SpeedMps => "speed_mps",
             Q::AccelerationMps2 => "acceleration_mps2",
@@ -113,14 +113,14 @@ impl Quantity {
     }
 
     /// Whether it is seen of a vehicle that may not be there.
-    pub(super) fn is_of_another(self) -> bool {
-        use Quantity as Q;
+    pub(super) fn is_of_neighbour(self) -> bool {
+        use ObservedQuantity as Q;
         !matches!(self, Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind)
     }
 
     #[inline]
-    pub(super) fn of(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
-        use Quantity as Q;
+    pub(super) fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
+        use ObservedQuantity as Q;
         /// Gap over speed; standing vehicles count as creeping ones.
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }

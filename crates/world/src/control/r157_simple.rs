@@ -1,6 +1,6 @@
 //! The simple driver model of UN Regulation No. 157: a delay, and braking at one rate.
 
-use super::reaction::{Noticed, whole_steps};
+use super::reaction::{ReactionTimer, whole_steps};
 use super::{BuiltIn, Controller, ControllerFailure, Ego, Role};
 use crate::observation::Observation;
 use crate::settings::settings;
@@ -25,7 +25,7 @@ settings! {
 pub struct R157Simple {
     settings: R157SimpleSettings,
     delay_steps: u32,
-    noticed: Noticed,
+    reaction_timer: ReactionTimer,
 }
 
 impl BuiltIn for R157Simple {
@@ -38,7 +38,7 @@ impl BuiltIn for R157Simple {
 
     fn start(settings: &R157SimpleSettings, ego: &Ego, _seed: u64) -> Self {
         let delay_steps = whole_steps(settings.reaction_s, ego.step_s);
-        Self { settings: settings.clone(), delay_steps, noticed: Noticed::default() }
+        Self { settings: settings.clone(), delay_steps, reaction_timer: ReactionTimer::default() }
     }
 }
 
@@ -59,7 +59,7 @@ impl Controller for R157Simple {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let is_in_danger = self.is_in_danger(seen);
-        let brakes = self.noticed.steps(is_in_danger) >= Some(self.delay_steps);
+        let brakes = self.reaction_timer.tick(is_in_danger) >= Some(self.delay_steps);
         Ok(if brakes { -self.settings.brake_mps2 } else { 0.0 })
     }
 }

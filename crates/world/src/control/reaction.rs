@@ -2,12 +2,12 @@
 
 /// Whole steps since something was first noticed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Noticed(Option<u32>);
+pub(super) struct ReactionTimer(Option<u32>);
 
-impl Noticed {
+impl ReactionTimer {
     /// Counts a step, the one in which it is first noticed as 0; none before that. What was noticed once stays so.
     #[inline]
-    pub(super) fn steps(&mut self, is_there: bool) -> Option<u32> {
+    pub(super) fn tick(&mut self, is_there: bool) -> Option<u32> {
         self.0 = match self.0 {
             Some(steps) => Some(steps.saturating_add(1)),
             None => is_there.then_some(0),
@@ -25,20 +25,20 @@ pub(super) fn whole_steps(delay_s: f64, step_s: f64) -> u32 {
 ///
 /// A command holds over a step: its mean is commanded, so that speeds at steps are those of the ramp.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Ramp {
+pub(super) struct BrakeRamp {
     now_mps2: f64,
     jerk_mps3: f64,
     step_s: f64,
 }
 
-impl Ramp {
+impl BrakeRamp {
     pub(super) fn new(from_mps2: f64, jerk_mps3: f64, step_s: f64) -> Self {
         Self { now_mps2: from_mps2, jerk_mps3, step_s }
     }
 
     /// Braking over the next step where so much is asked for, its mean, in m/s², positive.
     #[inline]
-    pub(super) fn towards(&mut self, asked_mps2: f64) -> f64 {
+    pub(super) fn step_towards(&mut self, asked_mps2: f64) -> f64 {
         let Self { now_mps2, jerk_mps3, step_s } = *self;
         let rise_s = (asked_mps2 - now_mps2) / jerk_mps3;
         if rise_s <= 0.0 {

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::interval::Interval;
-use super::together::{self, Asking};
+use super::decision_timer::DecisionTimer;
+use super::batch_query::{self, BatchQuery};
 use super::{Controller, Ego};
 use crate::observation::Observation;
 use crate::process::ProcessFailure;
@@ -56,7 +56,7 @@ pub enum ControllerFailure {
 /// A neighbour that a controller cannot drive without.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-pub enum Needs {
+pub enum RequiredNeighbours {
     /// The controller can drive on an empty road.
     #[default]
     Nothing,
@@ -106,13 +106,13 @@ pub trait ControllerSource: Send + Sync {
     }
 
     /// Neighbours that its controllers cannot drive without: a run that lacks one is refused.
-    fn needs(&self) -> Needs {
-        Needs::Nothing
+    fn required_neighbours(&self) -> RequiredNeighbours {
+        RequiredNeighbours::Nothing
     }
 
     /// What answers for many vehicles by one question: runs in lockstep then ask it instead of each controller. None if each
     /// has to be asked by itself.
-    fn batch(&self) -> Option<&dyn BatchController> {
+    fn batch_controller(&self) -> Option<&dyn BatchController> {
         None
     }
 
@@ -131,18 +131,18 @@ pub trait BatchController: Send + Sync {
     ///
     /// # Errors
     /// [`ControllerFailure`] if there are no answers: each controller is then asked by itself, and fails or not.
-    fn decide_all(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure>;
+    fn decide_batch(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure>;
 }
 
 /// A controller from outside, held between its decisions. Answers that are no numbers are failures.
 pub(crate) struct ZeroOrderHold {
     controller: Box<dyn Controller>,
     /// Where it comes from, if that answers for many.
-    asked_together: Option<Arc<dyn ControllerSource>>,
-    interval: Interval,
+    batch_source: Option<Arc<dyn ControllerSource>>,
+    decision_timer: DecisionTimer,
     /// What it saw when a decision was due.
-    seen: Option<Observation>,
-    held_mps2: f64,
+    observation: Option<Observation>,
+    command_mps2: f64,
 }
 
 impl ZeroOrderHold {
@@ -150,67 +150,67 @@ impl ZeroOrderHold {
     /// step.
     #[must_use]
     pub(crate) fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
-        let interval = Interval::new(interval_s, step_s);
-        Self { controller, asked_together: None, interval, seen: None, held_mps2: 0.0 }
+        let interval = DecisionTimer::new(interval_s, step_s);
+        Self { controller, batch_source: None, decision_timer: interval, observation: None, command_mps2: 0.0 }
     }
 
     /// The same, asked together with others from `source` if that [answers for many](ControllerSource::batch).
     #[must_use]
-    pub(crate) fn asked_together(mut self, source: &Arc<dyn ControllerSource>) -> Self {
-        self.asked_together = source.batch().is_some().then(|| Arc::clone(source));
+    pub(crate) fn with_batching(mut self, source: &Arc<dyn ControllerSource>) -> Self {
+        self.batch_source = source.batch_controller().is_some().then(|| Arc::clone(source));
         self
     }
 }
 
-impl Asking for ZeroOrderHold {
-    fn looks(&mut self, seen: &Observation) -> bool {
-        self.seen = self.interval.is_due().then_some(*seen);
-        self.seen.is_some()
+impl BatchQuery for ZeroOrderHold {
+    fn sample(&mut self, seen: &Observation) -> bool {
+        self.observation = self.decision_timer.tick().then_some(*seen);
+        self.observation.is_some()
     }
 
-    fn decides(&mut self) -> Result<(), ControllerFailure> {
-        let Some(seen) = self.seen else { return Ok(()) };
+    fn query(&mut self) -> Result<(), ControllerFailure> {
+        let Some(seen) = self.observation else { return Ok(()) };
         let answer_mps2 = self.controller.decide(&seen)?;
-        self.take(answer_mps2)
+        self.set_command(answer_mps2)
     }
 
-    fn is_asked_with(&self, other: &Self) -> bool {
-        match (&self.asked_together, &other.asked_together) {
+    fn shares_batch_with(&self, other: &Self) -> bool {
+        match (&self.batch_source, &other.batch_source) {
             (Some(own), Some(other)) => std::ptr::addr_eq(Arc::as_ptr(own), Arc::as_ptr(other)),
             _ => false,
         }
     }
 
-    fn answers_mps2(all: &[&Self]) -> Option<Vec<f64>> {
-        let batch = all.first()?.asked_together.as_ref()?.batch()?;
-        let seen = all.iter().map(|one| one.seen).collect::<Option<Vec<_>>>()?;
-        let mut answers_mps2 = vec![0.0; seen.len()];
-        batch.decide_all(&seen, &mut answers_mps2).ok()?;
-        answers_mps2.iter().all(|answer_mps2| answer_mps2.is_finite()).then_some(answers_mps2)
+    fn query_batch(all: &[&Self]) -> Option<Vec<f64>> {
+        let batch = all.first()?.batch_source.as_ref()?.batch_controller()?;
+        let seen = all.iter().map(|one| one.observation).collect::<Option<Vec<_>>>()?;
+        let mut query_batch = vec![0.0; seen.len()];
+        batch.decide_batch(&seen, &mut query_batch).ok()?;
+        query_batch.iter().all(|answer_mps2| answer_mps2.is_finite()).then_some(query_batch)
     }
 
-    fn take(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
-        self.held_mps2 = answer_mps2;
+    fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
+        self.command_mps2 = answer_mps2;
         if answer_mps2.is_finite() { Ok(()) } else { Err(ControllerFailure::NotFinite) }
     }
 
-    fn held_mps2(&self) -> f64 {
-        self.held_mps2
+    fn command_mps2(&self) -> f64 {
+        self.command_mps2
     }
 }
 
 impl Controller for ZeroOrderHold {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        together::decide(self, seen)
+        batch_query::decide(self, seen)
     }
 
-    fn decide_together(
+    fn decide_batch(
         all: &mut [Self],
         see: impl FnMut(usize) -> Observation,
         commands_mps2: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        together::decide_together(all, see, commands_mps2, failed);
+        batch_query::decide_batch(all, see, commands_mps2, failed);
     }
 }
 
@@ -223,8 +223,8 @@ mod tests {
     use crate::scenario::PaperDistribution;
     use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
-    struct Counter(f64);
-    impl Controller for Counter {
+    struct CountingController(f64);
+    impl Controller for CountingController {
         fn decide(&mut self, _: &Observation) -> Result<f64, ControllerFailure> {
             self.0 += 1.0;
             Ok(if self.0 > 2.5 { f64::NAN } else { self.0 })
@@ -233,34 +233,34 @@ mod tests {
 
     #[test]
     fn decides_once_an_interval_and_fails_at_an_answer_that_is_no_number() {
-        let mut held = ZeroOrderHold::new(Box::new(Counter(0.0)), Some(0.03), 0.01);
+        let mut held = ZeroOrderHold::new(Box::new(CountingController(0.0)), Some(0.03), 0.01);
         let answers = [0; 7].map(|_| held.decide(&behind(20.0, 20.0, 20.0, 0.0)));
         let failed = Err(ControllerFailure::NotFinite);
         assert_eq!(answers, [Ok(1.0), Ok(1.0), Ok(1.0), Ok(2.0), Ok(2.0), Ok(2.0), failed]);
-        let mut at_every_step = ZeroOrderHold::new(Box::new(Counter(0.0)), None, 0.01);
+        let mut at_every_step = ZeroOrderHold::new(Box::new(CountingController(0.0)), None, 0.01);
         let answers = [0; 2].map(|_| at_every_step.decide(&behind(20.0, 20.0, 20.0, 0.0)));
         assert_eq!(answers, [Ok(1.0), Ok(2.0)]);
     }
 
     /// Brakes in proportion to the closing speed, and does not answer where it is closer than `least_gap_m`.
     #[derive(Clone)]
-    struct Shy {
-        least_gap_m: f64,
-        most_together: Arc<AtomicUsize>,
+    struct MinGapController {
+        min_gap_m: f64,
+        max_batch_size: Arc<AtomicUsize>,
     }
-    impl Shy {
+    impl MinGapController {
         fn answer_mps2(&self, seen: &Observation) -> Result<f64, ControllerFailure> {
             let ahead = seen.ahead.filter(|ahead| ahead.gap_m >= self.least_gap_m);
             let ahead = ahead.ok_or(ControllerFailure::Died { message: "too close".to_owned() })?;
             Ok(ahead.speed_mps - seen.speed_mps)
         }
     }
-    impl Controller for Shy {
+    impl Controller for MinGapController {
         fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
             self.answer_mps2(seen)
         }
     }
-    impl BatchController for Shy {
+    impl BatchController for MinGapController {
         fn decide_all(&self, seen: &[Observation], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
             self.most_together.fetch_max(seen.len(), Ordering::Relaxed);
             answers_mps2.iter_mut().zip(seen).try_for_each(|(answer_mps2, seen)| {
@@ -269,7 +269,7 @@ mod tests {
             })
         }
     }
-    impl ControllerSource for Shy {
+    impl ControllerSource for MinGapController {
         fn identity(&self) -> Option<String> {
             None
         }
@@ -289,7 +289,7 @@ mod tests {
         let draws: Vec<_> = (0..60).map(|index| PaperDistribution { seed: 2 }.draw(index).unwrap()).collect();
         let most_together = Arc::new(AtomicUsize::new(0));
         let sources =
-            [0.0, 12.0].map(|least_gap_m| Arc::new(Shy { least_gap_m, most_together: most_together.clone() }));
+            [0.0, 12.0].map(|least_gap_m| Arc::new(MinGapController { least_gap_m, most_together: most_together.clone() }));
         let options = |index: usize| RunOptions::new(sources[index / 5 % 2].clone());
         let runs: Vec<_> = (0..60).map(|index| Run::new(&draws[index], options(index)).unwrap()).collect();
         let two_threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();

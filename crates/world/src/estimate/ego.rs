@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Estimate, Filter, Inertia, KnownChange, Sensor, Tuning};
+use super::{DistanceEstimate, Filter, Accelerometer, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
 use crate::random::{self, Purpose, Stream};
 use crate::scenario::Sensors;
@@ -87,8 +87,8 @@ pub struct TrueState {
 pub struct EgoEstimator {
     tuning: Arc<EgoTuning>,
     /// First errors of filters.
-    first: Stream,
-    inertia: Inertia,
+    initial_error_stream: Stream,
+    accelerometer: Accelerometer,
     position: (Sensor, Filter),
     ahead: (Sensor, Option<Filter>),
     behind: (Sensor, Option<Filter>),
@@ -100,29 +100,29 @@ impl EgoEstimator {
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
         let own = &truth.observation;
-        let mut first = random::stream(seed, Purpose::FirstEstimate, vehicle as u64);
-        let position = running(&mut first, &tuning.position, truth.position_m, own.speed_mps);
+        let mut first = random::stream(seed, Purpose::InitialEstimate, vehicle as u64);
+        let position = steady_filter(&mut first, &tuning.position, truth.position_m, own.speed_mps);
         let sensor = |purpose, noise_m| Sensor::new(seed, purpose, vehicle, noise_m, sensors);
         let mut estimator = Self {
             tuning: Arc::clone(tuning),
-            first,
-            inertia: Inertia::cruising(own.speed_mps),
+            initial_error_stream: first,
+            accelerometer: Accelerometer::new(own.speed_mps),
             position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
             ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
             behind: (sensor(Purpose::GapBehindSensor, sensors.gap_noise_m), None),
         };
-        estimator.follow_others(truth, [true, true]);
+        estimator.switch_neighbours(truth, [true, true]);
         estimator
     }
 
     /// Follows other vehicles from here on, ahead and behind where they have `changed`: as if those had been followed before, as
     /// sensors follow vehicles beside the lane too.
-    pub(crate) fn follow_others(&mut self, truth: &TrueState, changed: [bool; 2]) {
+    pub(crate) fn switch_neighbours(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
             *filter = neighbour.map(|other| {
-                running(&mut self.first, &self.tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
+                steady_filter(&mut self.initial_error_stream, &self.tuning.gap, other.gap_m, sign * (other.speed_mps - own.speed_mps))
             });
         }
     }
@@ -132,10 +132,10 @@ impl EgoEstimator {
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
         let tuning = &*self.tuning;
         let truly = &truth.observation;
-        let felt = self.inertia.felt(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
+        let felt = self.accelerometer.measure_change(tuning.position.step_s(), truly.speed_mps, truly.acceleration_mps2);
         let (sensor, filter) = &mut self.position;
         let own = measure((sensor, filter), &tuning.position, truth.position_m, (&felt, 1.0));
-        let neighbour = |gap: Estimate, sign: f64| Neighbour {
+        let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
             acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
@@ -154,9 +154,9 @@ impl EgoEstimator {
 }
 
 /// A filter that has been running: its error is the next draw.
-fn running(first: &mut Stream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
+fn steady_filter(first: &mut Stream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
     let normals = [0; 3].map(|_| StandardNormal.sample(first));
-    Filter::running(tuning, distance_m, rate_mps, normals)
+    Filter::new_steady(tuning, distance_m, rate_mps, normals)
 }
 
 #[inline]
@@ -165,7 +165,7 @@ fn measure(
     tuning: &Tuning,
     distance_m: f64,
     (felt, sign): (&KnownChange, f64),
-) -> Estimate {
+) -> DistanceEstimate {
     filter.feed_forward(tuning, felt, sign);
     filter.update(tuning, sensor.measure(distance_m))
 }

@@ -17,19 +17,19 @@ use nalgebra::{Matrix3, Vector3};
 const DOUBLINGS: usize = 24;
 
 /// Steps after which the response to a manoeuvre has faded, whatever the tuning: a hundred thousand.
-const MOST_STEPS_TO_FADE: f64 = 1e5;
+const MAX_STEPS_TO_FADE: f64 = 1e5;
 
 /// A filter's constants: computed once, shared by all filters of one kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuning {
     step_s: f64,
     transition: Matrix3<f64>,
-    process: Matrix3<f64>,
+    process_noise: Matrix3<f64>,
     measurement_variance: f64,
     /// Covariance before a measurement, when none is ever lost and the filter has run for long.
-    steady: Matrix3<f64>,
+    steady_covariance: Matrix3<f64>,
     steady_gain: Vector3<f64>,
-    steady_root: Matrix3<f64>,
+    steady_cholesky: Matrix3<f64>,
 }
 
 impl Tuning {
@@ -57,11 +57,11 @@ impl Tuning {
         Self {
             step_s,
             transition,
-            process,
+            process_noise: process,
             measurement_variance,
-            steady,
+            steady_covariance: steady,
             steady_gain: steady.column(0) / (steady[(0, 0)] + measurement_variance),
-            steady_root: steady.cholesky().map(|root| root.l()).unwrap_or_default(),
+            steady_cholesky: steady.cholesky().map(|root| root.l()).unwrap_or_default(),
         }
     }
 
@@ -74,7 +74,7 @@ impl Tuning {
     /// Standard deviations in steady state before a measurement: distance (m), rate (m/s), acceleration (m/s²).
     #[must_use]
     pub fn steady_deviations(&self) -> [f64; 3] {
-        [0, 1, 2].map(|i| self.steady[(i, i)].sqrt())
+        [0, 1, 2].map(|i| self.steady_covariance[(i, i)].sqrt())
     }
 
     /// Largest errors of distance and rate that an acceleration between -1 and 1 m/s² can cause, changing as it pleases from
@@ -86,7 +86,7 @@ impl Tuning {
     #[must_use]
     pub(crate) fn manoeuvre_errors(&self) -> [f64; 2] {
         let h = self.step_s;
-        let mut filter = Filter::running(self, 0.0, 0.0, [0.0; 3]);
+        let mut filter = Filter::new_steady(self, 0.0, 0.0, [0.0; 3]);
         filter.update(self, Some(0.0));
         let (mut distance_m, mut worst) = (0.5 * h * h, [0.0; 2]);
         loop {
@@ -95,7 +95,7 @@ impl Tuning {
             worst = [worst[0] + errors[0], worst[1] + errors[1]];
             distance_m += h * h;
             let faded = errors[1] < 1e-12 * h && errors[0] < 1e-12 * h * h;
-            if faded || distance_m > MOST_STEPS_TO_FADE * h * h {
+            if faded || distance_m > MAX_STEPS_TO_FADE * h * h {
                 return worst;
             }
         }
@@ -106,15 +106,15 @@ impl Tuning {
     }
 
     /// Covariance after a measurement, in Joseph's form, which stays symmetric and positive.
-    fn corrected(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    fn correct_covariance(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
         let gain = self.gain(covariance);
         let mut rest = Matrix3::identity();
         rest.column_mut(0).axpy(-1.0, &gain, 1.0);
         rest * covariance * rest.transpose() + gain * gain.transpose() * self.measurement_variance
     }
 
-    fn predicted(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
-        let next = self.transition * covariance * self.transition.transpose() + self.process;
+    fn predict_covariance(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+        let next = self.transition * covariance * self.transition.transpose() + self.process_noise;
         (next + next.transpose()) * 0.5
     }
 }
@@ -151,7 +151,7 @@ pub struct Innovation {
 
 /// An estimate of one distance and how it changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
+pub struct DistanceEstimate {
     /// Distance in metres.
     pub distance_m: f64,
     /// Its rate in m/s.
@@ -172,7 +172,7 @@ pub struct KnownChange {
 /// The running filter of one distance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter {
-    predicted: Estimate,
+    prediction: DistanceEstimate,
     /// Covariance of the prediction once a measurement was lost; none while it is the steady one.
     covariance: Option<Matrix3<f64>>,
 }
@@ -182,19 +182,19 @@ impl Filter {
     ///
     /// `normals` are three independent standard normal numbers.
     #[must_use]
-    pub fn running(tuning: &Tuning, distance_m: f64, rate_mps: f64, normals: [f64; 3]) -> Self {
-        let error = tuning.steady_root * Vector3::from(normals);
+    pub fn new_steady(tuning: &Tuning, distance_m: f64, rate_mps: f64, normals: [f64; 3]) -> Self {
+        let error = tuning.steady_cholesky * Vector3::from(normals);
         let predicted =
-            Estimate { distance_m: distance_m + error.x, rate_mps: rate_mps + error.y, acceleration_mps2: error.z };
-        Self { predicted, covariance: None }
+            DistanceEstimate { distance_m: distance_m + error.x, rate_mps: rate_mps + error.y, acceleration_mps2: error.z };
+        Self { prediction: predicted, covariance: None }
     }
 
     /// How a measurement compares with what the filter expects.
     #[must_use]
     pub fn innovation(&self, tuning: &Tuning, measured_m: f64) -> Innovation {
-        let covariance = self.covariance.as_ref().unwrap_or(&tuning.steady);
+        let covariance = self.covariance.as_ref().unwrap_or(&tuning.steady_covariance);
         Innovation {
-            residual_m: measured_m - self.predicted.distance_m,
+            residual_m: measured_m - self.prediction.distance_m,
             variance_m2: covariance[(0, 0)] + tuning.measurement_variance,
         }
     }
@@ -204,17 +204,17 @@ impl Filter {
     /// The change is spread evenly over the step, so half of its rate counts for the distance.
     #[inline]
     pub fn feed_forward(&mut self, tuning: &Tuning, change: &KnownChange, sign: f64) {
-        self.predicted.distance_m += sign * (0.5 * tuning.step_s * change.rate_mps);
-        self.predicted.rate_mps += sign * change.rate_mps;
-        self.predicted.acceleration_mps2 += sign * change.acceleration_mps2;
+        self.prediction.distance_m += sign * (0.5 * tuning.step_s * change.rate_mps);
+        self.prediction.rate_mps += sign * change.rate_mps;
+        self.prediction.acceleration_mps2 += sign * change.acceleration_mps2;
     }
 
     /// Takes in this step's measurement, or goes without if it was lost, and moves on to the next step.
     ///
     /// Returns the estimate at the instant of the measurement.
     #[inline]
-    pub fn update(&mut self, tuning: &Tuning, measured_m: Option<f64>) -> Estimate {
-        let mut estimate = self.predicted;
+    pub fn update(&mut self, tuning: &Tuning, measured_m: Option<f64>) -> DistanceEstimate {
+        let mut estimate = self.prediction;
         if let Some(measured_m) = measured_m {
             let gain = match &self.covariance {
                 None => tuning.steady_gain,
@@ -229,7 +229,7 @@ impl Filter {
             self.update_covariance(tuning, measured_m.is_some());
         }
         let h = tuning.step_s;
-        self.predicted = Estimate {
+        self.prediction = DistanceEstimate {
             distance_m: estimate.distance_m + h * (estimate.rate_mps + 0.5 * h * estimate.acceleration_mps2),
             rate_mps: estimate.rate_mps + h * estimate.acceleration_mps2,
             acceleration_mps2: estimate.acceleration_mps2,
@@ -239,9 +239,9 @@ impl Filter {
 
     #[cold]
     fn update_covariance(&mut self, tuning: &Tuning, measured: bool) {
-        let covariance = self.covariance.unwrap_or(tuning.steady);
-        let covariance = if measured { tuning.corrected(&covariance) } else { covariance };
-        self.covariance = Some(tuning.predicted(&covariance));
+        let covariance = self.covariance.unwrap_or(tuning.steady_covariance);
+        let covariance = if measured { tuning.correct_covariance(&covariance) } else { covariance };
+        self.covariance = Some(tuning.predict_covariance(&covariance));
     }
 }
 

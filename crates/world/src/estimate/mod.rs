@@ -6,11 +6,11 @@
 
 mod ego;
 mod filter;
-mod inertia;
+mod accelerometer;
 mod sensor;
 
 pub use ego::BANDWIDTH_RAD_PER_S;
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
-pub use filter::{Estimate, Filter, Innovation, KnownChange, Tuning};
-pub use inertia::Inertia;
+pub use filter::{DistanceEstimate, Filter, Innovation, KnownChange, Tuning};
+pub use accelerometer::Accelerometer;
 pub use sensor::Sensor;

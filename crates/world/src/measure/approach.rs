@@ -1,10 +1,10 @@
 //! How a vehicle came up to the one ahead: what every measure of a pair is computed from.
 
-use crate::sim::{Contact, Impact, Motion, Pair, SAME_INSTANT_S, Trace, Track, closest_gap_m};
+use crate::sim::{Contact, Impact, Motion, VehiclePair, TIME_TOLERANCE_S, Trace, Track, closest_gap_m};
 
 /// Two successive vehicles at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct State {
+pub struct PairState {
     /// When, in seconds.
     pub time_s: f64,
     /// Bumper gap in metres, never negative.
@@ -19,14 +19,14 @@ pub struct State {
     pub rear_acceleration_mps2: f64,
 }
 
-impl State {
+impl PairState {
     /// Speed at which the gap closes, in m/s: positive when closing.
     #[must_use]
     pub fn closing_mps(&self) -> f64 {
         self.rear_speed_mps - self.front_speed_mps
     }
 
-    fn of(time_s: f64, [front, rear]: [Motion; 2], front_length_m: f64) -> Self {
+    fn from_motions(time_s: f64, [front, rear]: [Motion; 2], front_length_m: f64) -> Self {
         Self {
             time_s,
             gap_m: front.position_m - front_length_m - rear.position_m,
@@ -38,9 +38,9 @@ impl State {
     }
 
     /// Front and rear at a sample of a trace.
-    pub(super) fn at_sample(times_s: &[f64], [front, rear]: [&Track; 2], sample: usize) -> Option<Self> {
+    pub(super) fn from_sample(times_s: &[f64], [front, rear]: [&Track; 2], sample: usize) -> Option<Self> {
         let motion = [front.motion(sample)?, rear.motion(sample)?];
-        Some(Self::of(*times_s.get(sample)?, motion, front.length_m))
+        Some(Self::from_motions(*times_s.get(sample)?, motion, front.length_m))
     }
 
     /// Smallest gap at any instant of the next `step_s` seconds, in metres, both accelerations held.
@@ -61,17 +61,17 @@ impl State {
 /// went on and whether or not the trace has a sample there, so that all measures agree between the two.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
-    legs: Vec<Leg>,
-    touched: bool,
+    segments: Vec<ApproachSegment>,
+    has_contact: bool,
 }
 
 /// The approach to one vehicle ahead.
 #[derive(Debug, Clone, PartialEq)]
-struct Leg {
+struct ApproachSegment {
     front_length_m: f64,
-    states: Vec<State>,
+    states: Vec<PairState>,
     /// Whether one of the two left, or somebody entered between them.
-    parted: bool,
+    interrupted: bool,
 }
 
 impl Approach {
@@ -80,31 +80,31 @@ impl Approach {
     /// Contacts are taken from `impacts`; where those say nothing, from the first sample without a gap. Tracks of
     /// unequal length count up to the shortest.
     #[must_use]
-    pub fn of(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
-        Self::through(&trace.pairs(rear), contact)
+        Self::from_pairs(&trace.pairs(rear), contact)
     }
 
     /// The approach to vehicle `front` of whoever is right behind it; none if nobody ever is.
     #[must_use]
-    pub(super) fn onto(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
+    pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();
         let pairs = behind.flat_map(|rear| trace.pairs(rear)).filter(|pair| pair.front_vehicle == front);
-        let mut pairs: Vec<Pair<'_>> = pairs.collect();
+        let mut pairs: Vec<VehiclePair<'_>> = pairs.collect();
         pairs.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
-        Self::through(&pairs, contact)
+        Self::from_pairs(&pairs, contact)
     }
 
-    fn through(pairs: &[Pair<'_>], contact: Option<&Contact>) -> Option<Self> {
-        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - SAME_INSTANT_S);
+    fn from_pairs(pairs: &[VehiclePair<'_>], contact: Option<&Contact>) -> Option<Self> {
+        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - TIME_TOLERANCE_S);
         let (mut legs, mut touched) = (Vec::new(), false);
         for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
             let (front_length_m, parted) = (pair.front.length_m, pair.span_s[1].is_finite());
-            let mut leg = Leg { front_length_m, states: Vec::with_capacity(pair.samples().len() + 1), parted };
-            for state in states_of(pair).take_while(|state| state.time_s < until_s) {
+            let mut leg = ApproachSegment { front_length_m, states: Vec::with_capacity(pair.samples().len() + 1), interrupted: parted };
+            for state in pair_states(pair).take_while(|state| state.time_s < until_s) {
                 touched = state.gap_m <= 0.0;
-                leg.states.push(State { gap_m: state.gap_m.max(0.0), ..state });
+                leg.states.push(PairState { gap_m: state.gap_m.max(0.0), ..state });
                 if touched {
                     break;
                 }
@@ -115,31 +115,31 @@ impl Approach {
             }
         }
         if let (Some(contact), false, Some(leg)) = (contact, touched, legs.last_mut()) {
-            leg.states.push(at_contact(contact, leg.states.last()));
+            leg.states.push(contact_state(contact, leg.states.last()));
             touched = true;
         }
-        (!legs.is_empty()).then_some(Self { legs, touched })
+        (!legs.is_empty()).then_some(Self { segments: legs, has_contact: touched })
     }
 
     /// The states in order of time; none if the trace is empty.
-    pub fn states(&self) -> impl Iterator<Item = &State> {
-        self.legs.iter().flat_map(|leg| &leg.states)
+    pub fn states(&self) -> impl Iterator<Item = &PairState> {
+        self.segments.iter().flat_map(|leg| &leg.states)
     }
 
     /// The states, each with the bumper to bumper length of the vehicle ahead in metres.
-    pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&State, f64)> {
-        self.legs.iter().flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
+    pub(super) fn states_with_length_m(&self) -> impl Iterator<Item = (&PairState, f64)> {
+        self.segments.iter().flat_map(|leg| leg.states.iter().map(|state| (state, leg.front_length_m)))
     }
 
     /// Each state with the next one that is of the same two vehicles.
-    pub(super) fn steps(&self) -> impl Iterator<Item = (&State, &State)> {
-        self.legs.iter().flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
+    pub(super) fn steps(&self) -> impl Iterator<Item = (&PairState, &PairState)> {
+        self.segments.iter().flat_map(|leg| leg.states.iter().zip(leg.states.iter().skip(1)))
     }
 
     /// Whether the approach ends in a contact.
     #[must_use]
-    pub fn touched(&self) -> bool {
-        self.touched
+    pub fn has_contact(&self) -> bool {
+        self.has_contact
     }
 
     /// Smallest bumper gap at any instant, in metres, between samples too; 0 at contact, none for an empty trace.
@@ -153,26 +153,26 @@ impl Approach {
     /// Bumper gap at which the two came to stand, in metres; none if they touched, parted, or one of them still moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
-        let leg = self.legs.last().filter(|leg| !leg.parted && !self.touched)?;
+        let leg = self.segments.last().filter(|leg| !leg.interrupted && !self.has_contact)?;
         let last = leg.states.last()?;
         (last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0).then_some(last.gap_m)
     }
 }
 
 /// Both at the start of their time together, at every sample, and at its end: gaps may be negative.
-fn states_of<'a>(pair: &Pair<'a>) -> impl Iterator<Item = State> + use<'a> {
-    let Pair { time_s, front, rear, span_s, .. } = *pair;
-    let is_sampled = |at_s: f64| time_s.iter().any(|sampled_s| (sampled_s - at_s).abs() <= SAME_INSTANT_S);
+fn pair_states<'a>(pair: &VehiclePair<'a>) -> impl Iterator<Item = PairState> + use<'a> {
+    let VehiclePair { time_s, front, rear, span_s, .. } = *pair;
+    let is_sampled = |at_s: f64| time_s.iter().any(|sampled_s| (sampled_s - at_s).abs() <= TIME_TOLERANCE_S);
     let [first, last] = span_s.map(|at_s| {
         let motion = if at_s.is_finite() && !is_sampled(at_s) { pair.motion_at(at_s) } else { None };
-        motion.map(|motion| State::of(at_s, motion, front.length_m))
+        motion.map(|motion| PairState::from_motions(at_s, motion, front.length_m))
     });
-    let samples = pair.samples().filter_map(move |sample| State::at_sample(time_s, [front, rear], sample));
+    let samples = pair.samples().filter_map(move |sample| PairState::from_sample(time_s, [front, rear], sample));
     first.into_iter().chain(samples).chain(last)
 }
 
-fn at_contact(contact: &Contact, before: Option<&State>) -> State {
-    State {
+fn contact_state(contact: &Contact, before: Option<&PairState>) -> PairState {
+    PairState {
         time_s: contact.time_s,
         gap_m: 0.0,
         front_speed_mps: contact.front_speed_mps,

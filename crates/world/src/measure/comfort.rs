@@ -36,8 +36,8 @@ pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f6
     let mut highest = SlidingExtreme::new(|new, old| new >= old);
     let steps = time_s.iter().zip(time_s.iter().skip(1)).zip(&track.acceleration_mps2);
     let changes_mps2 = steps.map(|((&from_s, &to_s), &acceleration_mps2)| {
-        let low = lowest.after(acceleration_mps2, to_s, from_s - within_s);
-        let high = highest.after(acceleration_mps2, to_s, from_s - within_s);
+        let low = lowest.push(acceleration_mps2, to_s, from_s - within_s);
+        let high = highest.push(acceleration_mps2, to_s, from_s - within_s);
         (acceleration_mps2 - low).max(high - acceleration_mps2)
     });
     let peak_mps2 = changes_mps2.reduce(f64::max)?;
@@ -50,24 +50,24 @@ pub fn peak_jerk_mps3(time_s: &[f64], track: &Track, window_s: f64) -> Option<f6
 pub(super) struct SlidingExtreme {
     beats: fn(f64, f64) -> bool,
     /// Values and until when each was held.
-    kept: VecDeque<(f64, f64)>,
+    candidates: VecDeque<(f64, f64)>,
 }
 
 impl SlidingExtreme {
     pub(super) fn new(beats: fn(f64, f64) -> bool) -> Self {
-        Self { beats, kept: VecDeque::new() }
+        Self { beats, candidates: VecDeque::new() }
     }
 
     /// The extreme of a new value, held until `until_s`, and of those before it that were held after `since_s`.
-    pub(super) fn after(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
-        while self.kept.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
-            self.kept.pop_front();
+    pub(super) fn push(&mut self, value: f64, until_s: f64, since_s: f64) -> f64 {
+        while self.candidates.front().is_some_and(|&(_, held_until_s)| held_until_s <= since_s) {
+            self.candidates.pop_front();
         }
-        while self.kept.back().is_some_and(|&(old, _)| (self.beats)(value, old)) {
-            self.kept.pop_back();
+        while self.candidates.back().is_some_and(|&(old, _)| (self.beats)(value, old)) {
+            self.candidates.pop_back();
         }
-        self.kept.push_back((value, until_s));
-        self.kept.front().map_or(value, |&(extreme, _)| extreme)
+        self.candidates.push_back((value, until_s));
+        self.candidates.front().map_or(value, |&(extreme, _)| extreme)
     }
 }
 

@@ -17,7 +17,7 @@ pub enum ContactRole {
 impl ContactRole {
     /// The part of the vehicles under test in a contact of a scenario.
     #[must_use]
-    pub fn of(contact: &Contact, scenario: &Scenario) -> Self {
+    pub fn new(contact: &Contact, scenario: &Scenario) -> Self {
         let under_test = |index| scenario.is_under_test(index);
         match (under_test(contact.rear_vehicle), under_test(contact.front_vehicle)) {
             (true, _) => Self::Hits,

@@ -61,7 +61,7 @@ impl Approach {
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
         let dracs = self.states().filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
-        dracs.reduce(f64::max).filter(|_| !self.touched())
+        dracs.reduce(f64::max).filter(|_| !self.has_contact())
     }
 
     /// Largest required deceleration at any sample, in m/s², if the vehicle ahead held its acceleration to standstill;
@@ -76,7 +76,7 @@ impl Approach {
                 state.rear_speed_mps,
             )
         });
-        required.reduce(f64::max).filter(|_| !self.touched())
+        required.reduce(f64::max).filter(|_| !self.has_contact())
     }
 }
 
@@ -87,7 +87,7 @@ impl Approach {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Imposed {
+pub struct InducedBraking {
     /// Hardest deceleration of the follower before the two touched, in m/s², positive; none for less than two samples.
     pub peak_brake_mps2: Option<f64>,
     /// Largest DRAC of the follower, in m/s²; none if it never closed in or the two touched.
@@ -97,11 +97,11 @@ pub struct Imposed {
     pub max_required_brake_mps2: Option<f64>,
 }
 
-impl Imposed {
+impl InducedBraking {
     /// What vehicle `index` imposed on the one behind it; none for the last vehicle.
     #[must_use]
-    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let approach = Approach::onto(trace, impacts, index)?;
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let approach = Approach::from_trace_behind(trace, impacts, index)?;
         let brakes_mps2 = approach.steps().map(|(state, _)| -state.rear_acceleration_mps2);
         Some(Self {
             peak_brake_mps2: brakes_mps2.reduce(f64::max).map(|brake_mps2| brake_mps2.max(0.0)),
@@ -147,16 +147,16 @@ mod tests {
         let front = driven(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
         let rear = driven(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
         let mut trace = trace(vec![front, rear], 0.5);
-        let imposed = Imposed::of(&trace, &[], 0).unwrap();
+        let imposed = InducedBraking::of(&trace, &[], 0).unwrap();
         assert_eq!(imposed.peak_brake_mps2, Some(10.0));
         assert!((imposed.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
         assert!((imposed.max_drac_mps2.unwrap() - 8.0 / 9.0).abs() < 1e-12);
-        assert_eq!(Imposed::of(&trace, &[], 1), None, "nobody behind the last");
+        assert_eq!(InducedBraking::of(&trace, &[], 1), None, "nobody behind the last");
 
         // Had they touched at 0.4 s, braking after that would not count, and no deceleration would have been enough.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
-        let touched = Imposed::of(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
-        assert_eq!(touched, Imposed { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None });
+        let touched = InducedBraking::of(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
+        assert_eq!(touched, InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None });
     }
 
     proptest! {

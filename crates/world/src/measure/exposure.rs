@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::approach::{Approach, State};
+use super::approach::{Approach, PairState};
 
 /// Time to collision below which a situation counts as critical, in seconds: 3.
 ///
@@ -15,7 +15,7 @@ pub const TTC_THRESHOLD_S: f64 = 3.0;
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Exposure {
+pub struct TtcExposure {
     /// TET: how long time to collision was below the threshold, in seconds.
     pub tet_s: f64,
     /// TIT: by how much, integrated over that time, in s².
@@ -37,28 +37,28 @@ impl Approach {
     /// Accident Analysis and Prevention 33, 89-97; as integrals in Westhofen et al. 2023, "Criticality metrics for
     /// automated driving", Archives of Computational Methods in Engineering 30, sections 5.2.6 and 5.2.7.
     #[must_use]
-    pub fn exposure(&self, threshold_s: f64) -> Exposure {
-        self.steps().fold(Exposure::default(), |sum, (from, to)| {
+    pub fn ttc_exposure(&self, threshold_s: f64) -> TtcExposure {
+        self.steps().fold(TtcExposure::default(), |sum, (from, to)| {
             let exposed_s = (to.time_s - from.time_s) * exposed_share(from, to, threshold_s);
             let shortfalls_s = shortfall_s(from, threshold_s) + shortfall_s(to, threshold_s);
-            Exposure { tet_s: sum.tet_s + exposed_s, tit_s2: sum.tit_s2 + 0.5 * exposed_s * shortfalls_s }
+            TtcExposure { tet_s: sum.tet_s + exposed_s, tit_s2: sum.tit_s2 + 0.5 * exposed_s * shortfalls_s }
         })
     }
 }
 
 /// Above 0 exactly when the gap closes and time to collision is below the threshold.
-fn excess_m(state: &State, threshold_s: f64) -> f64 {
+fn excess_m(state: &PairState, threshold_s: f64) -> f64 {
     threshold_s * state.closing_mps() - state.gap_m
 }
 
 /// By how much time to collision is below the threshold, in seconds; 0 if it is not.
-fn shortfall_s(state: &State, threshold_s: f64) -> f64 {
+fn shortfall_s(state: &PairState, threshold_s: f64) -> f64 {
     let excess_m = excess_m(state, threshold_s);
     if excess_m > 0.0 { excess_m / state.closing_mps() } else { 0.0 }
 }
 
 /// The share of a step spent below the threshold.
-fn exposed_share(from: &State, to: &State, threshold_s: f64) -> f64 {
+fn exposed_share(from: &PairState, to: &PairState, threshold_s: f64) -> f64 {
     let (from_m, to_m) = (excess_m(from, threshold_s), excess_m(to, threshold_s));
     match (from_m > 0.0, to_m > 0.0) {
         (true, true) => 1.0,
@@ -111,7 +111,7 @@ mod tests {
     }
 
     /// Both brake in turn, so that time to collision falls below the threshold and recovers.
-    fn avoided(gap_m: f64, speed_mps: f64, brakes_mps2: [f64; 2], step_s: f64) -> Trace {
+    fn near_miss_trace(gap_m: f64, speed_mps: f64, brakes_mps2: [f64; 2], step_s: f64) -> Trace {
         let front = driven(4.0, gap_m + 4.0, speed_mps, &[(1.0, -brakes_mps2[0]), (5.0, 0.0)], step_s);
         let rear = driven(4.0, 0.0, speed_mps, &[(1.0, 0.0), (2.0, -brakes_mps2[1]), (3.0, 0.0)], step_s);
         trace(vec![front, rear], step_s)

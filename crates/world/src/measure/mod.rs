@@ -9,7 +9,7 @@
 
 mod approach;
 mod comfort;
-mod conduct;
+mod driving_rule;
 mod contact_role;
 mod demand;
 mod exposure;
@@ -23,19 +23,19 @@ mod usefulness;
 
 use serde::{Deserialize, Serialize};
 
-pub use approach::{Approach, State};
+pub use approach::{Approach, PairState};
 pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
-pub use conduct::{Conduct, UnknownConduct};
+pub use driving_rule::{DrivingRule, UnknownDrivingRule};
 pub use contact_role::ContactRole;
-pub use demand::{Imposed, drac_mps2, required_brake_mps2};
-pub use exposure::{Exposure, TTC_THRESHOLD_S};
+pub use demand::{InducedBraking, drac_mps2, required_brake_mps2};
+pub use exposure::{TtcExposure, TTC_THRESHOLD_S};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
-pub use specification::{Braking, FirstContact, RunVerdict, Specification, SpecificationError};
+pub use specification::{BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError};
 pub use usefulness::{
-    CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, Following, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_DEVIATION_MPS,
-    LEAST_SPEED_MPS, MOVING_MPS, NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, SETTLED_MPS, SpeedAmplification,
-    Usefulness, caused_brake_mps2,
+    CAUSE_LASTS_S, EASY_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, FollowingMeasures, HARD_BRAKE_MPS2, MIN_BRAKING_S, MIN_DEVIATION_MPS,
+    MIN_BRAKING_SPEED_MPS, MIN_MOVING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, BrakeInstant, UnnecessaryBraking, SETTLED_TOLERANCE_MPS, SpeedAmplification,
+    UsefulnessMeasures, justified_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};
@@ -48,9 +48,10 @@ pub struct Measures {
     /// Index of the vehicle, counted from the front.
     pub vehicle: usize,
     /// Towards the vehicle ahead; none for the leader.
-    pub ahead: Option<Ahead>,
+    pub ahead: Option<LeadMeasures>,
     /// Braking imposed on the vehicle behind; none for the last.
-    pub imposed: Option<Imposed>,
+    #[serde(rename = "imposed")]
+    pub induced: Option<InducedBraking>,
     /// Hardest deceleration over the whole run, in m/s², positive; none for less than two samples.
     pub peak_brake_mps2: Option<f64>,
     /// Largest change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; none for less than two samples.
@@ -65,7 +66,7 @@ pub struct Measures {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Ahead {
+pub struct LeadMeasures {
     /// Smallest bumper gap at any instant, in metres, 0 at contact; none for an empty trace.
     pub min_gap_m: Option<f64>,
     /// Bumper gap when both had come to stand, in metres; none if they touched or one still moved at the end.
@@ -94,13 +95,13 @@ impl Measures {
     ///
     /// `impacts` are those of the same run. Tracks of unequal length count up to the shortest.
     #[must_use]
-    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let track = trace.vehicles.get(index)?;
         let samples = trace.len().min(track.acceleration_mps2.len());
         Some(Self {
             vehicle: index,
-            ahead: Ahead::of(trace, impacts, index),
-            imposed: Imposed::of(trace, impacts, index),
+            ahead: LeadMeasures::from_trace(trace, impacts, index),
+            induced: InducedBraking::from_trace(trace, impacts, index),
             peak_brake_mps2: peak_brake_mps2(track.acceleration_mps2.iter().copied().take(samples)),
             peak_jerk_mps3: peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S),
             impacts: impacts_of(impacts, index).count(),
@@ -109,12 +110,12 @@ impl Measures {
     }
 }
 
-impl Ahead {
+impl LeadMeasures {
     /// How vehicle `index` did towards the one ahead; none for the leader and for a vehicle that does not exist.
     #[must_use]
-    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let approach = Approach::of(trace, impacts, index)?;
-        let Exposure { tet_s, tit_s2 } = approach.exposure(TTC_THRESHOLD_S);
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let approach = Approach::from_trace(trace, impacts, index)?;
+        let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(TTC_THRESHOLD_S);
         Some(Self {
             min_gap_m: approach.min_gap_m(),
             standstill_gap_m: approach.standstill_gap_m(),

@@ -3,11 +3,11 @@
 use std::fmt;
 
 use super::stl::{
-    Formula, MonitorError, ParseError, Signals, SignalsError, motion_signal_names, motion_signals, signal_column,
+    Formula, MonitorError, FormulaParseError, SampledSignals, SignalsError, motion_signal_names, motion_signals, signal_column,
 };
-use super::{Conduct, ContactRole};
+use super::{DrivingRule, ContactRole};
 use crate::scenario::{Scenario, VehicleClass};
-use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate};
+use crate::sim::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
 
 /// What must hold in every run.
 ///
@@ -31,7 +31,7 @@ pub enum Specification {
     /// A formula over the signals of the run, which goes on after contacts: those that touch stick together.
     Formula(Formula),
     /// A rule for the vehicles under test, whoever touches.
-    Conduct(Conduct),
+    DrivingRule(DrivingRule),
 }
 
 /// Why a formula is no specification.
@@ -40,12 +40,12 @@ pub enum Specification {
 pub enum SpecificationError {
     /// It does not parse.
     #[error(transparent)]
-    Parse(#[from] ParseError),
+    Parse(#[from] FormulaParseError),
     /// It compares nothing, as a rule misspelt does, and it is no rule.
-    #[error("{formula}; nor is this `{}`, or a rule as {} are", Specification::NO_CONTACT, Conduct::WRITTEN.map(|rule| format!("`{rule}`")).join(", "))]
-    NoRule {
+    #[error("{formula}; nor is this `{}`, or a rule as {} are", Specification::NO_CONTACT, DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", "))]
+    UnknownRule {
         /// Why it is no formula.
-        formula: ParseError,
+        formula: FormulaParseError,
     },
     /// It cannot be evaluated.
     #[error(transparent)]
@@ -65,7 +65,7 @@ pub enum SpecificationError {
     },
     /// It speaks of a time after the end of the runs.
     #[error("the formula looks {horizon_s} s ahead, and runs last {duration_s} s")]
-    Beyond {
+    HorizonTooLong {
         /// How far it looks, in seconds.
         horizon_s: f64,
         /// How long runs last, in seconds.
@@ -89,14 +89,14 @@ pub struct RunVerdict {
     /// When a controller failed, in seconds, and the index of its vehicle; none if none did. A run with such a failure
     /// violates every specification, with a robustness of negative infinity. Beside a robustness that is not negative it is the controller
     /// of a run that this one was set against.
-    pub failed: Option<(f64, u32)>,
+    pub failure: Option<(f64, u32)>,
 }
 
 impl RunVerdict {
     /// The verdict on a run without contact and without failure.
     #[must_use]
     pub fn new(robustness: f64) -> Self {
-        Self { robustness, contact: None, failed: None }
+        Self { robustness, contact: None, failure: None }
     }
 
     /// Whether the specification is violated.
@@ -118,7 +118,7 @@ pub struct FirstContact {
     /// Difference of their speeds, in m/s.
     pub impact_speed_mps: f64,
     /// How hard the vehicle under test among the two had braked until then.
-    pub ego_braking: Braking,
+    pub ego_braking: BrakingLevel,
     /// Class of the vehicle that hits.
     pub rear_class: VehicleClass,
 }
@@ -126,7 +126,7 @@ pub struct FirstContact {
 /// How hard a vehicle braked at the hardest, relative to what it can do on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
-pub enum Braking {
+pub enum BrakingLevel {
     /// Not notably: less than a tenth.
     None = 0,
     /// In between.
@@ -135,7 +135,7 @@ pub enum Braking {
     Full = 2,
 }
 
-impl Braking {
+impl BrakingLevel {
     /// All of them, by number.
     pub const ALL: [Self; 3] = [Self::None, Self::Partial, Self::Full];
 
@@ -149,7 +149,7 @@ impl Braking {
         }
     }
 
-    fn of(hardest_mps2: f64, usable_mps2: f64) -> Self {
+    fn new(hardest_mps2: f64, usable_mps2: f64) -> Self {
         match hardest_mps2 / usable_mps2 {
             share if share < 0.1 => Self::None,
             share if share < 0.95 => Self::Partial,
@@ -159,13 +159,13 @@ impl Braking {
 }
 
 /// A contact must have negative robustness even at an impact speed of zero.
-const LEAST_VIOLATION: f64 = 1e-9;
+const MIN_VIOLATION: f64 = 1e-9;
 
 impl Specification {
     /// The name of the default specification.
     pub const NO_CONTACT: &str = "no contact";
 
-    /// The specification in words: `no contact`, one of [`Conduct::WRITTEN`], or a formula.
+    /// The specification in words: `no contact`, one of [`Conduct::EXAMPLES`], or a formula.
     ///
     /// # Errors
     /// [`SpecificationError`] for text that does not parse, names a signal that runs like `nominal` do not have, or looks beyond
@@ -175,11 +175,11 @@ impl Specification {
             return Ok(Self::NoContact);
         }
         if let Ok(conduct) = text.parse() {
-            return Ok(Self::Conduct(conduct));
+            return Ok(Self::DrivingRule(conduct));
         }
         let formula: Formula = text.parse().map_err(|formula| match text.contains(['<', '>']) {
             true => SpecificationError::Parse(formula),
-            false => SpecificationError::NoRule { formula },
+            false => SpecificationError::UnknownRule { formula },
         })?;
         let known = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
@@ -189,7 +189,7 @@ impl Specification {
         // A window without an end is cut at the end of the run; one that states an end means it.
         let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
         if horizon_s.is_finite() && horizon_s > duration_s {
-            return Err(SpecificationError::Beyond { horizon_s, duration_s });
+            return Err(SpecificationError::HorizonTooLong { horizon_s, duration_s });
         }
         Ok(Self::Formula(formula))
     }
@@ -199,16 +199,16 @@ impl Specification {
     pub fn warning(&self) -> Option<String> {
         match self {
             Self::Formula(formula) => formula.warning(),
-            Self::NoContact | Self::Conduct(_) => None,
+            Self::NoContact | Self::DrivingRule(_) => None,
         }
     }
 
     /// What must be kept of a run to judge it.
     #[must_use]
-    pub fn keep(&self) -> RecordingLevel {
+    pub fn recording_level(&self) -> RecordingLevel {
         match self {
             Self::NoContact => RecordingLevel::Summary,
-            Self::Formula(_) | Self::Conduct(_) => RecordingLevel::Trace,
+            Self::Formula(_) | Self::DrivingRule(_) => RecordingLevel::Trace,
         }
     }
 
@@ -217,7 +217,7 @@ impl Specification {
     pub fn after_contact(&self) -> AfterContact {
         match self {
             Self::NoContact => AfterContact::Stop,
-            Self::Formula(_) | Self::Conduct(_) => AfterContact::Continue,
+            Self::Formula(_) | Self::DrivingRule(_) => AfterContact::Continue,
         }
     }
 
@@ -227,17 +227,17 @@ impl Specification {
     /// [`SpecificationError`] if the scenario cannot be run with these options, or a formula does not fit it.
     pub fn judge_scenario(&self, scenario: &Scenario, options: RunOptions) -> Result<RunVerdict, SpecificationError> {
         let run = Run::new(scenario, options.with_after_contact(self.after_contact()))?;
-        self.judge(&run, &simulate(&run, self.keep()))
+        self.judge(&run, &simulate(&run, self.recording_level()))
     }
 
     /// The verdict on a run that was made with [`Self::keep`] and [`Self::after_contact`].
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
-    pub fn judge(&self, run: &Run, result: &Simulated) -> Result<RunVerdict, SpecificationError> {
+    pub fn judge(&self, run: &Run, result: &SimulationResult) -> Result<RunVerdict, SpecificationError> {
         let robustness = match (self, &result.outcome) {
             (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
-            (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(LEAST_VIOLATION),
+            (Self::NoContact, Outcome::Collision(contact)) => -contact.impact_speed_mps.max(MIN_VIOLATION),
             (Self::NoContact, Outcome::NoCollision) => {
                 let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
                 // A gap of zero would be a contact; rounding must not make it one.
@@ -248,27 +248,27 @@ impl Specification {
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
                 judge_formula(formula, &signals)?
             }
-            (Self::Conduct(conduct), _) => {
+            (Self::DrivingRule(conduct), _) => {
                 conduct.robustness(run.scenario(), result).ok_or(SpecificationError::NoTrace)?
             }
         };
-        let failed = result.outcome.failed().map(|failed| (failed.time_s, failed.vehicle as u32));
-        Ok(RunVerdict { robustness, contact: first_contact(run, result), failed })
+        let failed = result.outcome.failed_controller().map(|failed| (failed.time_s, failed.vehicle as u32));
+        Ok(RunVerdict { robustness, contact: first_contact(run, result), failure: failed })
     }
 }
 
 /// At exactly zero the formula itself decides.
-fn judge_formula(formula: &Formula, signals: &Signals<'_>) -> Result<f64, MonitorError> {
+fn judge_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
     let robustness = formula.robustness(signals)?;
     let violated_at_zero = robustness == 0.0 && !formula.is_satisfied(signals)?;
-    Ok(if violated_at_zero { -LEAST_VIOLATION } else { robustness })
+    Ok(if violated_at_zero { -MIN_VIOLATION } else { robustness })
 }
 
-fn first_contact(run: &Run, result: &Simulated) -> Option<FirstContact> {
+fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
     let contact = result.outcome.contact()?;
     let scenario = run.scenario();
     // Of two vehicles under test the one that hits.
-    let ego = match ContactRole::of(contact, scenario) {
+    let ego = match ContactRole::new(contact, scenario) {
         ContactRole::IsHit => contact.front_vehicle,
         ContactRole::Hits | ContactRole::Bystander => contact.rear_vehicle,
     };
@@ -285,7 +285,7 @@ fn first_contact(run: &Run, result: &Simulated) -> Option<FirstContact> {
         front_vehicle: contact.front_vehicle as u32,
         rear_vehicle: contact.rear_vehicle as u32,
         impact_speed_mps: contact.impact_speed_mps,
-        ego_braking: Braking::of(hardest_mps2, scenario.usable_brake_mps2(ego)),
+        ego_braking: BrakingLevel::new(hardest_mps2, scenario.usable_brake_mps2(ego)),
         rear_class: scenario.vehicles().get(contact.rear_vehicle).map_or(VehicleClass::Light, |v| v.class),
     })
 }
@@ -295,7 +295,7 @@ impl fmt::Display for Specification {
         match self {
             Self::NoContact => out.write_str(Self::NO_CONTACT),
             Self::Formula(formula) => formula.fmt(out),
-            Self::Conduct(conduct) => conduct.fmt(out),
+            Self::DrivingRule(conduct) => conduct.fmt(out),
         }
     }
 }

@@ -4,20 +4,20 @@ use std::cell::Cell;
 
 use super::NetworkError;
 
-const FORM: &str = "zip archive";
+const FORMAT: &str = "zip archive";
 
 /// Most members of an archive.
-const MOST_MEMBERS: usize = 4096;
+const MAX_MEMBERS: usize = 4096;
 
 /// The members of an archive.
 #[derive(Debug)]
 pub(super) struct Archive<'a> {
     bytes: &'a [u8],
-    members: Vec<Member>,
+    members: Vec<ArchiveMember>,
 }
 
 #[derive(Debug)]
-struct Member {
+struct ArchiveMember {
     name: String,
     method: u16,
     is_encrypted: bool,
@@ -29,14 +29,14 @@ struct Member {
 }
 
 fn damaged(problem: impl Into<String>) -> NetworkError {
-    NetworkError::damaged(FORM, problem)
+    NetworkError::damaged(FORMAT, problem)
 }
 
 /// Numbers of two, four and eight bytes from a place on.
-struct Reader<'a>(&'a [u8]);
+struct ByteReader<'a>(&'a [u8]);
 
-impl<'a> Reader<'a> {
-    fn at(bytes: &'a [u8], place: u64) -> Result<Self, NetworkError> {
+impl<'a> ByteReader<'a> {
+    fn from_offset(bytes: &'a [u8], place: u64) -> Result<Self, NetworkError> {
         let place = usize::try_from(place).unwrap_or(usize::MAX);
         bytes.get(place..).map(Self).ok_or_else(|| damaged("it points beyond its end"))
     }
@@ -47,11 +47,11 @@ impl<'a> Reader<'a> {
         Ok(taken)
     }
 
-    fn number(&mut self, bytes: usize) -> Result<u64, NetworkError> {
+    fn read_uint(&mut self, bytes: usize) -> Result<u64, NetworkError> {
         Ok(self.take(bytes)?.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)))
     }
 
-    fn signature(&mut self, wanted: &[u8; 4]) -> Result<(), NetworkError> {
+    fn expect_signature(&mut self, wanted: &[u8; 4]) -> Result<(), NetworkError> {
         if self.take(4)? == wanted { Ok(()) } else { Err(damaged("a part of it is not where it should be")) }
     }
 }
@@ -62,35 +62,35 @@ impl<'a> Archive<'a> {
         let earliest = bytes.len().saturating_sub(22 + 0xffff);
         let end = (earliest..bytes.len().saturating_sub(21)).rev().find(|&at| bytes[at..].starts_with(b"PK\x05\x06"));
         let end = end.ok_or_else(|| damaged("it has no end: it may be cut off"))?;
-        let mut record = Reader(&bytes[end..]);
+        let mut record = ByteReader(&bytes[end..]);
         record.take(10)?;
-        let (mut count, _size, mut start) = (record.number(2)?, record.number(4)?, record.number(4)?);
+        let (mut count, _size, mut start) = (record.read_uint(2)?, record.read_uint(4)?, record.read_uint(4)?);
         // The larger form of the end, to which a pointer lies right before the smaller one.
         if let Some(pointer) = end.checked_sub(20)
             && bytes[pointer..].starts_with(b"PK\x06\x07")
         {
-            let mut locator = Reader(&bytes[pointer + 8..]);
-            let mut record = Reader::at(bytes, locator.number(8)?)?;
-            record.signature(b"PK\x06\x06")?;
+            let mut locator = ByteReader(&bytes[pointer + 8..]);
+            let mut record = ByteReader::from_offset(bytes, locator.read_uint(8)?)?;
+            record.expect_signature(b"PK\x06\x06")?;
             record.take(28)?;
-            (count, _, start) = (record.number(8)?, record.number(8)?, record.number(8)?);
+            (count, _, start) = (record.read_uint(8)?, record.read_uint(8)?, record.read_uint(8)?);
         }
-        let mut directory = Reader::at(bytes, start)?;
+        let mut directory = ByteReader::from_offset(bytes, start)?;
         let count = usize::try_from(count).unwrap_or(usize::MAX);
-        if count > MOST_MEMBERS {
-            return Err(damaged(format!("it has more than {MOST_MEMBERS} members")));
+        if count > MAX_MEMBERS {
+            return Err(damaged(format!("it has more than {MAX_MEMBERS} members")));
         }
-        let members = (0..count).map(|_| Member::read(&mut directory)).collect::<Result<_, _>>()?;
+        let members = (0..count).map(|_| ArchiveMember::read(&mut directory)).collect::<Result<_, _>>()?;
         Ok(Self { bytes, members })
     }
 
     /// Whether a member's name ends so.
-    pub(super) fn has_ending(&self, ending: &str) -> bool {
+    pub(super) fn has_member_with_suffix(&self, ending: &str) -> bool {
         self.members.iter().any(|member| member.name.ends_with(ending))
     }
 
     /// The name of the only member whose name ends so.
-    pub(super) fn only_ending(&self, ending: &str) -> Result<&str, NetworkError> {
+    pub(super) fn only_member_with_suffix(&self, ending: &str) -> Result<&str, NetworkError> {
         let mut found = self.members.iter().filter(|member| member.name.ends_with(ending));
         match (found.next(), found.next()) {
             (Some(one), None) => Ok(&one.name),
@@ -111,10 +111,10 @@ impl<'a> Archive<'a> {
                 format!("member `{name}` is compressed or encrypted; save the model anew, or zip it with `zip -0`");
             return Err(NetworkError::Unsupported(problem));
         }
-        let mut header = Reader::at(self.bytes, member.header)?;
-        header.signature(b"PK\x03\x04")?;
+        let mut header = ByteReader::from_offset(self.bytes, member.header)?;
+        header.expect_signature(b"PK\x03\x04")?;
         header.take(22)?;
-        let lengths = [header.number(2)?, header.number(2)?];
+        let lengths = [header.read_uint(2)?, header.read_uint(2)?];
         header.take((lengths[0] + lengths[1]) as usize)?;
         let contents = header.take(usize::try_from(member.size).unwrap_or(usize::MAX))?;
         if !member.is_checked.get() && crc32(contents) != member.crc {
@@ -125,34 +125,34 @@ impl<'a> Archive<'a> {
     }
 }
 
-impl Member {
-    fn read(directory: &mut Reader<'_>) -> Result<Self, NetworkError> {
-        directory.signature(b"PK\x01\x02")?;
+impl ArchiveMember {
+    fn read(directory: &mut ByteReader<'_>) -> Result<Self, NetworkError> {
+        directory.expect_signature(b"PK\x01\x02")?;
         directory.take(4)?;
-        let (flags, method) = (directory.number(2)?, directory.number(2)? as u16);
+        let (flags, method) = (directory.read_uint(2)?, directory.read_uint(2)? as u16);
         directory.take(4)?;
-        let crc = directory.number(4)? as u32;
-        let (stored, mut size) = (directory.number(4)?, directory.number(4)?);
-        let lengths = [directory.number(2)?, directory.number(2)?, directory.number(2)?].map(|length| length as usize);
+        let crc = directory.read_uint(4)? as u32;
+        let (stored, mut size) = (directory.read_uint(4)?, directory.read_uint(4)?);
+        let lengths = [directory.read_uint(2)?, directory.read_uint(2)?, directory.read_uint(2)?].map(|length| length as usize);
         directory.take(8)?;
-        let mut header = directory.number(4)?;
+        let mut header = directory.read_uint(4)?;
         let name = String::from_utf8_lossy(directory.take(lengths[0])?).into_owned();
-        let mut extras = Reader(directory.take(lengths[1])?);
+        let mut extras = ByteReader(directory.take(lengths[1])?);
         directory.take(lengths[2])?;
         while extras.0.len() >= 4 {
-            let (kind, length) = (extras.number(2)?, extras.number(2)? as usize);
-            let mut extra = Reader(extras.take(length)?);
+            let (kind, length) = (extras.read_uint(2)?, extras.read_uint(2)? as usize);
+            let mut extra = ByteReader(extras.take(length)?);
             // What does not fit into four bytes stands here, in this order.
             if kind == 1 {
-                const ELSEWHERE: u64 = 0xffff_ffff;
-                if size == ELSEWHERE {
-                    size = extra.number(8)?;
+                const ZIP64_MARKER: u64 = 0xffff_ffff;
+                if size == ZIP64_MARKER {
+                    size = extra.read_uint(8)?;
                 }
-                if stored == ELSEWHERE {
-                    extra.number(8)?;
+                if stored == ZIP64_MARKER {
+                    extra.read_uint(8)?;
                 }
-                if header == ELSEWHERE {
-                    header = extra.number(8)?;
+                if header == ZIP64_MARKER {
+                    header = extra.read_uint(8)?;
                 }
             }
         }

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::{MOST_BYTES, MOST_PARAMETERS};
+use super::{MAX_BYTES, MAX_PARAMETERS};
 
 /// Why a network from outside cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -29,16 +29,16 @@ pub enum NetworkError {
     #[error("a network's file ends in .onnx, or in .zip for a model of Stable-Baselines3")]
     Extension,
     /// It is too large.
-    #[error("the file has more than {MOST_BYTES} bytes, too many for a network")]
+    #[error("the file has more than {MAX_BYTES} bytes, too many for a network")]
     TooLarge,
     /// It has too many numbers.
-    #[error("the network has more than {MOST_PARAMETERS} weights and biases")]
+    #[error("the network has more than {MAX_PARAMETERS} weights and biases")]
     TooManyParameters,
     /// The file is truncated or corrupt, or is something else.
-    #[error("not a whole {form}: {problem}")]
+    #[error("not a whole {format}: {problem}")]
     Damaged {
         /// What it should be.
-        form: &'static str,
+        format: &'static str,
         /// What is wrong, and where.
         problem: String,
     },
@@ -72,12 +72,12 @@ pub enum NetworkError {
 }
 
 /// What a file says, as it may stand in a message: on one line, without control characters, and not too long.
-pub(super) fn shown(said: &str) -> String {
+pub(super) fn sanitized(said: &str) -> String {
     said.chars().take(200).flat_map(char::escape_debug).collect()
 }
 
 impl NetworkError {
     pub(super) fn damaged(form: &'static str, problem: impl Into<String>) -> Self {
-        Self::Damaged { form, problem: problem.into() }
+        Self::Damaged { format: form, problem: problem.into() }
     }
 }

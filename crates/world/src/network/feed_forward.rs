@@ -1,7 +1,7 @@
 //! A network of products and of things done to each number, one after the other.
 
-use super::{Elementwise, MOST_PARAMETERS, MOST_STEPS, NetworkError, WIDEST_LAYER};
-use crate::policy::{Acting, Workspace};
+use super::{Elementwise, MAX_PARAMETERS, MAX_STEPS, NetworkError, MAX_LAYER_WIDTH};
+use crate::policy::{PackedNetwork, Workspace};
 
 /// h W + b.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,11 +14,11 @@ pub struct Linear {
 
 /// What a network does next.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Step {
+pub enum NetworkStep {
     /// A product with a matrix.
     Linear(Linear),
     /// Something done to each number.
-    Each(Elementwise),
+    Elementwise(Elementwise),
 }
 
 /// A fully connected network.
@@ -36,8 +36,8 @@ pub enum Step {
 pub struct FeedForward {
     /// Numbers between the steps, from the inputs to the answers.
     widths: Vec<usize>,
-    steps: Vec<Step>,
-    acting: Acting,
+    steps: Vec<NetworkStep>,
+    packed: PackedNetwork,
 }
 
 impl FeedForward {
@@ -46,10 +46,10 @@ impl FeedForward {
     /// # Errors
     /// [`NetworkError::Step`] for a step that does not fit, and for a number that is not finite; otherwise for a network that
     /// is too large.
-    pub fn new(inputs: usize, steps: Vec<Step>) -> Result<Self, NetworkError> {
-        if !(1..=WIDEST_LAYER).contains(&inputs) || steps.len() > MOST_STEPS {
+    pub fn new(inputs: usize, steps: Vec<NetworkStep>) -> Result<Self, NetworkError> {
+        if !(1..=MAX_LAYER_WIDTH).contains(&inputs) || steps.len() > MAX_STEPS {
             let problem = format!(
-                "{inputs} inputs and {} steps: at most {WIDEST_LAYER} and {MOST_STEPS} are allowed",
+                "{inputs} inputs and {} steps: at most {MAX_LAYER_WIDTH} and {MAX_STEPS} are allowed",
                 steps.len()
             );
             return Err(NetworkError::Unsupported(problem));
@@ -57,17 +57,17 @@ impl FeedForward {
         let mut widths = vec![inputs];
         let (mut width, mut parameters) = (inputs, 0_usize);
         for (index, step) in steps.iter().enumerate() {
-            width = checked(step, width).map_err(|problem| NetworkError::Step { step: index, problem })?;
+            width = check_step(step, width).map_err(|problem| NetworkError::Step { step: index, problem })?;
             widths.push(width);
-            if let Step::Linear(linear) = step {
+            if let NetworkStep::Linear(linear) = step {
                 parameters = parameters.saturating_add(linear.weights.len() + linear.biases.len());
             }
         }
-        if parameters > MOST_PARAMETERS {
+        if parameters > MAX_PARAMETERS {
             return Err(NetworkError::TooManyParameters);
         }
-        let acting = laid_out(&steps, &widths);
-        Ok(Self { widths, steps, acting })
+        let acting = pack_steps(&steps, &widths);
+        Ok(Self { widths, steps, packed: acting })
     }
 
     /// Numbers it sees.
@@ -84,7 +84,7 @@ impl FeedForward {
 
     /// What it does, in order.
     #[must_use]
-    pub fn steps(&self) -> &[Step] {
+    pub fn steps(&self) -> &[NetworkStep] {
         &self.steps
     }
 
@@ -92,25 +92,25 @@ impl FeedForward {
     #[must_use]
     pub fn shape(&self) -> String {
         let products = self.steps.iter().zip(&self.widths[1..]);
-        let layers = products.filter(|(step, _)| matches!(step, Step::Linear(_))).map(|(_, width)| *width);
+        let layers = products.filter(|(step, _)| matches!(step, NetworkStep::Linear(_))).map(|(_, width)| *width);
         std::iter::once(self.inputs()).chain(layers).map(|width| width.to_string()).collect::<Vec<_>>().join("-")
     }
 
     /// Its answers to `batch` rows of inputs. Each row's bits do not depend on the others.
     #[must_use]
-    pub fn answers<'w>(&self, inputs: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
-        self.acting.forward(inputs, batch, space)
+    pub fn forward<'w>(&self, inputs: &[f32], batch: usize, space: &'w mut Workspace) -> &'w [f32] {
+        self.packed.forward(inputs, batch, space)
     }
 
     /// Returns the bounds that the functions after the last layer alone set to each answer: -1 and 1 after tanh. Infinite where
     /// they set none.
     #[must_use]
     pub fn answer_bounds(&self) -> Vec<[f64; 2]> {
-        let after_last = self.steps.iter().rposition(|step| matches!(step, Step::Linear(_))).map_or(0, |last| last + 1);
+        let after_last = self.steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_))).map_or(0, |last| last + 1);
         let bounds_of = |index| {
             self.steps.iter().skip(after_last).fold([f64::NEG_INFINITY, f64::INFINITY], |bounds, step| match step {
-                Step::Each(each) => each.range(index, bounds),
-                Step::Linear(_) => bounds,
+                NetworkStep::Elementwise(each) => each.range(index, bounds),
+                NetworkStep::Linear(_) => bounds,
             })
         };
         (0..self.outputs()).map(bounds_of).collect()
@@ -131,8 +131,8 @@ impl FeedForward {
         }
         for (step, of) in self.steps.iter().enumerate() {
             let next = match of {
-                Step::Linear(linear) => linear.ranges(&ranges, highest),
-                Step::Each(each) => {
+                NetworkStep::Linear(linear) => linear.ranges(&ranges, highest),
+                NetworkStep::Elementwise(each) => {
                     Some(ranges.iter().enumerate().map(|(index, range)| each.range(index, *range)).collect())
                 }
             };
@@ -160,16 +160,16 @@ impl Linear {
 }
 
 /// How many numbers a step answers with that is given `width`.
-fn checked(step: &Step, width: usize) -> Result<usize, String> {
+fn check_step(step: &NetworkStep, width: usize) -> Result<usize, String> {
     let finite = |numbers: &[f32]| {
         let all = numbers.iter().all(|number| number.is_finite());
         if all { Ok(()) } else { Err("holds a number that is not finite".to_owned()) }
     };
     match step {
-        Step::Linear(Linear { weights, biases }) => {
+        NetworkStep::Linear(Linear { weights, biases }) => {
             let outputs = biases.len();
-            if !(1..=WIDEST_LAYER).contains(&outputs) {
-                return Err(format!("a layer must be 1 to {WIDEST_LAYER} wide, found {outputs}"));
+            if !(1..=MAX_LAYER_WIDTH).contains(&outputs) {
+                return Err(format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {outputs}"));
             }
             if outputs.checked_mul(width) != Some(weights.len()) {
                 return Err(format!("{} weights cannot take {width} numbers to {outputs}", weights.len()));
@@ -178,7 +178,7 @@ fn checked(step: &Step, width: usize) -> Result<usize, String> {
             finite(biases)?;
             return Ok(outputs);
         }
-        Step::Each(each) => {
+        NetworkStep::Elementwise(each) => {
             if let Some(found) = each.width().filter(|&found| found != width) {
                 return Err(format!("{found} operands for {width} numbers"));
             }
@@ -204,20 +204,20 @@ fn checked(step: &Step, width: usize) -> Result<usize, String> {
 }
 
 /// The steps as they are done: a rectification behind a product inside it.
-fn laid_out(steps: &[Step], widths: &[usize]) -> Acting {
-    let last = steps.iter().rposition(|step| matches!(step, Step::Linear(_)));
-    let mut acting = Acting::default();
+fn pack_steps(steps: &[NetworkStep], widths: &[usize]) -> PackedNetwork {
+    let last = steps.iter().rposition(|step| matches!(step, NetworkStep::Linear(_)));
+    let mut acting = PackedNetwork::default();
     let mut is_done = false;
     for (index, (step, &width)) in steps.iter().zip(widths).enumerate() {
         match step {
-            Step::Linear(Linear { weights, biases }) => {
+            NetworkStep::Linear(Linear { weights, biases }) => {
                 let is_last = last == Some(index);
                 is_done =
-                    steps.get(index + 1) == Some(&Step::Each(Elementwise::Relu)) && !(is_last && biases.len() == 1);
+                    steps.get(index + 1) == Some(&NetworkStep::Elementwise(Elementwise::Relu)) && !(is_last && biases.len() == 1);
                 acting.push_product(weights, biases, width, is_last, is_done);
             }
-            Step::Each(_) if is_done => is_done = false,
-            Step::Each(each) => acting.push_each(each.clone(), width),
+            NetworkStep::Elementwise(_) if is_done => is_done = false,
+            NetworkStep::Elementwise(each) => acting.push_elementwise(each.clone(), width),
         }
     }
     acting

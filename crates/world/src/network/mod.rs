@@ -18,7 +18,7 @@ mod feed_forward;
 mod onnx;
 mod pickle;
 mod sb3;
-mod wire;
+mod protobuf;
 
 use std::fs::File;
 use std::io::Read;
@@ -29,20 +29,20 @@ use serde::Serialize;
 
 pub use crate::policy::Elementwise;
 pub use error::NetworkError;
-pub use feed_forward::{FeedForward, Linear, Step};
-pub use sb3::{BoxSpace, Normalisation, SavedModel, Statistics, VecNormalizeTrace};
+pub use feed_forward::{FeedForward, Linear, NetworkStep};
+pub use sb3::{BoxSpace, Normalisation, SavedModel, VecNormalizeStats, VecNormalizeUse};
 
 /// Largest file that is read, in bytes.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 
 /// Most weights and biases of a network.
-const MOST_PARAMETERS: usize = 8 << 20;
+const MAX_PARAMETERS: usize = 8 << 20;
 
 /// Widest layer that is accepted.
-const WIDEST_LAYER: usize = 1 << 14;
+const MAX_LAYER_WIDTH: usize = 1 << 14;
 
 /// Most steps of a network.
-const MOST_STEPS: usize = 256;
+const MAX_STEPS: usize = 256;
 
 /// A network as it lies in a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,16 +53,16 @@ pub struct NetworkFile {
     pub sha256: String,
     /// The file itself, to be laid beside what is said of it.
     bytes: Arc<[u8]>,
-    format: FileFormat,
-    saved: Option<Arc<SavedModel>>,
+    format: NetworkFormat,
+    saved_model: Option<Arc<SavedModel>>,
 }
 
 impl NetworkFile {
     /// Whether a file is taken for a network: it ends in `.onnx`, in `.zip` for a model of Stable-Baselines3, or in neither and
     /// begins as a zip archive, for `model.save("ppo_0.5")` appends no `.zip` to what looks like an ending.
     #[must_use]
-    pub fn is_one(path: &Path) -> bool {
-        FileFormat::of(path).is_some()
+    pub fn is_network(path: &Path) -> bool {
+        NetworkFormat::from_path(path).is_some()
     }
 
     /// Reads a network.
@@ -71,44 +71,44 @@ impl NetworkFile {
     /// [`NetworkError`] for a file that cannot be read, is damaged, or holds something else than a network that can be followed.
     pub fn load(path: &Path) -> Result<Self, NetworkError> {
         let in_file = |reason| NetworkError::InFile { path: path.to_owned(), reason: Box::new(reason) };
-        let format = FileFormat::of(path).ok_or_else(|| in_file(NetworkError::Extension))?;
+        let format = NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
         let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
-        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
-        Self::of(&bytes, format).map_err(in_file)
+        File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
+        Self::from_bytes(&bytes, format).map_err(in_file)
     }
 
-    fn of(bytes: &[u8], format: FileFormat) -> Result<Self, NetworkError> {
-        if bytes.len() as u64 > MOST_BYTES {
+    fn from_bytes(bytes: &[u8], format: NetworkFormat) -> Result<Self, NetworkError> {
+        if bytes.len() as u64 > MAX_BYTES {
             return Err(NetworkError::TooLarge);
         }
         let (network, saved) = match format {
-            FileFormat::Onnx => (onnx::read(bytes)?, None),
-            FileFormat::StableBaselines => {
+            NetworkFormat::Onnx => (onnx::read(bytes)?, None),
+            NetworkFormat::StableBaselines => {
                 let (network, saved) = sb3::read(bytes)?;
                 (network, Some(Arc::new(saved)))
             }
         };
-        Ok(Self { network, sha256: crumple_core::digest::sha256(bytes), bytes: bytes.into(), format, saved })
+        Ok(Self { network, sha256: crumple_core::digest::sha256(bytes), bytes: bytes.into(), format, saved_model: saved })
     }
 
     /// What a model of Stable-Baselines3 says of itself.
     #[must_use]
     pub fn saved_model(&self) -> Option<&SavedModel> {
-        self.saved.as_deref()
+        self.saved_model.as_deref()
     }
 
     /// What kind of file it is.
     #[must_use]
-    pub fn format(&self) -> FileFormat {
+    pub fn format(&self) -> NetworkFormat {
         self.format
     }
 
     /// A name for the file that says what is in it, and the file.
-    pub(crate) fn named(&self) -> (String, Arc<[u8]>) {
+    pub(crate) fn name_and_bytes(&self) -> (String, Arc<[u8]>) {
         let extension = match self.format {
-            FileFormat::Onnx => "onnx",
-            FileFormat::StableBaselines => "zip",
+            NetworkFormat::Onnx => "onnx",
+            NetworkFormat::StableBaselines => "zip",
         };
         let digits = self.sha256.get(..16).unwrap_or(&self.sha256);
         (format!("{digits}.{extension}"), Arc::clone(&self.bytes))
@@ -119,7 +119,7 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_onnx(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Self::of(bytes, FileFormat::Onnx)
+        Self::from_bytes(bytes, NetworkFormat::Onnx)
     }
 
     /// Reads the actor of a model saved by Stable-Baselines3.
@@ -127,7 +127,7 @@ impl NetworkFile {
     /// # Errors
     /// [`NetworkError`], as for [`Self::load`].
     pub fn from_sb3(bytes: &[u8]) -> Result<Self, NetworkError> {
-        Self::of(bytes, FileFormat::StableBaselines)
+        Self::from_bytes(bytes, NetworkFormat::StableBaselines)
     }
 }
 
@@ -135,27 +135,27 @@ impl NetworkFile {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum FileFormat {
+pub enum NetworkFormat {
     /// ONNX.
     Onnx,
     /// A model saved by Stable-Baselines3.
     StableBaselines,
 }
 
-impl FileFormat {
-    fn of(path: &Path) -> Option<Self> {
+impl NetworkFormat {
+    fn from_path(path: &Path) -> Option<Self> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("onnx") => Some(Self::Onnx),
             Some("zip") => Some(Self::StableBaselines),
             // These are something else, whatever they begin with.
             Some("toml" | "fmu" | "safetensors") => None,
-            _ => begins_as_archive(path).then_some(Self::StableBaselines),
+            _ => has_zip_signature(path).then_some(Self::StableBaselines),
         }
     }
 }
 
 /// Whether an ordinary file begins as a zip archive does: reading some other things does not end.
-fn begins_as_archive(path: &Path) -> bool {
+fn has_zip_signature(path: &Path) -> bool {
     let mut first = [0; 4];
     let is_ordinary = std::fs::metadata(path).is_ok_and(|found| found.is_file());
     is_ordinary && File::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok()) && first == *b"PK\x03\x04"

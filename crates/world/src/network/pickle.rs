@@ -9,48 +9,48 @@ use std::collections::HashMap;
 use super::NetworkError;
 
 /// Most values that a pickle may build.
-const MOST_VALUES: usize = 200_000;
+const MAX_VALUES: usize = 200_000;
 
 /// The place of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Id(usize);
+pub(super) struct ValueId(usize);
 
 /// A value.
 #[derive(Debug, Clone)]
 pub(super) enum Object<'a> {
     /// None.
     None,
-    Truth(bool),
+    Bool(bool),
     Integer(i64),
     /// A number that is not whole.
-    Number(f64),
+    Float(f64),
     Text(&'a str),
     Bytes(&'a [u8]),
-    Tuple(Vec<Id>),
-    List(Vec<Id>),
+    Tuple(Vec<ValueId>),
+    List(Vec<ValueId>),
     /// A dictionary, in the order in which it was filled.
-    Dict(Vec<(Id, Id)>),
+    Dict(Vec<(ValueId, ValueId)>),
     /// Something by the name of its module and its own.
     Global(&'a str, &'a str),
     /// What calling something would give.
     Call(Call),
     /// Something that lies outside of the pickle, by its description.
-    Outside(Id),
+    PersistentId(ValueId),
 }
 
 /// What calling something would give, and what is then done to it.
 #[derive(Debug, Clone)]
 pub(super) struct Call {
-    pub(super) of: Id,
-    pub(super) arguments: Id,
-    pub(super) state: Option<Id>,
-    pub(super) items: Vec<(Id, Id)>,
+    pub(super) callee: ValueId,
+    pub(super) arguments: ValueId,
+    pub(super) state: Option<ValueId>,
+    pub(super) items: Vec<(ValueId, ValueId)>,
 }
 
 /// All values of a pickle.
 pub(super) struct Pickle<'a> {
     values: Vec<Object<'a>>,
-    pub(super) top: Id,
+    pub(super) top: ValueId,
 }
 
 impl<'a> Pickle<'a> {
@@ -61,54 +61,54 @@ impl<'a> Pickle<'a> {
         Ok(Self { values: machine.values, top })
     }
 
-    pub(super) fn get(&self, id: Id) -> &Object<'a> {
+    pub(super) fn get(&self, id: ValueId) -> &Object<'a> {
         self.values.get(id.0).unwrap_or(&Object::None)
     }
 
-    pub(super) fn text(&self, id: Id) -> Option<&'a str> {
+    pub(super) fn text(&self, id: ValueId) -> Option<&'a str> {
         if let Object::Text(text) = self.get(id) { Some(text) } else { None }
     }
 
-    pub(super) fn integer(&self, id: Id) -> Option<i64> {
+    pub(super) fn integer(&self, id: ValueId) -> Option<i64> {
         if let Object::Integer(integer) = self.get(id) { Some(*integer) } else { None }
     }
 
-    pub(super) fn truth(&self, id: Id) -> Option<bool> {
-        if let Object::Truth(truth) = self.get(id) { Some(*truth) } else { None }
+    pub(super) fn boolean(&self, id: ValueId) -> Option<bool> {
+        if let Object::Bool(truth) = self.get(id) { Some(*truth) } else { None }
     }
 
     /// A number, whole or not.
-    pub(super) fn number(&self, id: Id) -> Option<f64> {
+    pub(super) fn number(&self, id: ValueId) -> Option<f64> {
         match self.get(id) {
-            Object::Number(number) => Some(*number),
+            Object::Float(number) => Some(*number),
             Object::Integer(integer) => Some(*integer as f64),
             _ => None,
         }
     }
 
-    pub(super) fn tuple(&self, id: Id) -> Option<&[Id]> {
+    pub(super) fn tuple(&self, id: ValueId) -> Option<&[ValueId]> {
         if let Object::Tuple(members) = self.get(id) { Some(members) } else { None }
     }
 
-    pub(super) fn global(&self, id: Id) -> Option<(&'a str, &'a str)> {
+    pub(super) fn global(&self, id: ValueId) -> Option<(&'a str, &'a str)> {
         if let Object::Global(module, name) = self.get(id) { Some((module, name)) } else { None }
     }
 
-    pub(super) fn call(&self, id: Id) -> Option<&Call> {
+    pub(super) fn call(&self, id: ValueId) -> Option<&Call> {
         if let Object::Call(call) = self.get(id) { Some(call) } else { None }
     }
 
     /// The entries of a dictionary, ordered or not.
-    pub(super) fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
+    pub(super) fn entries(&self, id: ValueId) -> Option<&[(ValueId, ValueId)]> {
         match self.get(id) {
             Object::Dict(entries) => Some(entries),
-            Object::Call(call) if self.global(call.of) == Some(("collections", "OrderedDict")) => Some(&call.items),
+            Object::Call(call) if self.global(call.callee) == Some(("collections", "OrderedDict")) => Some(&call.items),
             _ => None,
         }
     }
 
     /// The last entry of a dictionary under a key.
-    pub(super) fn entry(&self, id: Id, key: &str) -> Option<Id> {
+    pub(super) fn entry(&self, id: ValueId, key: &str) -> Option<ValueId> {
         self.entries(id)?.iter().rev().find(|(name, _)| self.text(*name) == Some(key)).map(|(_, value)| *value)
     }
 }
@@ -118,9 +118,9 @@ struct Machine<'a> {
     rest: &'a [u8],
     length: usize,
     values: Vec<Object<'a>>,
-    stack: Vec<Id>,
+    stack: Vec<ValueId>,
     marks: Vec<usize>,
-    memo: HashMap<usize, Id>,
+    memo: HashMap<usize, ValueId>,
 }
 
 fn damaged(problem: impl Into<String>) -> NetworkError {
@@ -128,16 +128,16 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
 }
 
 impl<'a> Machine<'a> {
-    fn run(&mut self) -> Result<Id, NetworkError> {
+    fn run(&mut self) -> Result<ValueId, NetworkError> {
         loop {
             let at = self.length - self.rest.len();
-            let [operation] = self.array()?;
+            let [operation] = self.take_array()?;
             if operation == b'.' {
                 return self.pop();
             }
             self.step(operation).map_err(|error| match error {
-                NetworkError::Damaged { form, problem } => {
-                    NetworkError::Damaged { form, problem: format!("{problem} (at byte {at})") }
+                NetworkError::Damaged { format: form, problem } => {
+                    NetworkError::Damaged { format: form, problem: format!("{problem} (at byte {at})") }
                 }
                 other => other,
             })?;
@@ -147,31 +147,31 @@ impl<'a> Machine<'a> {
     fn step(&mut self, operation: u8) -> Result<(), NetworkError> {
         match operation {
             // Protocol and frames, which only say how long something is.
-            0x80 => self.array::<1>().map(drop),
-            0x95 => self.array::<8>().map(drop),
+            0x80 => self.take_array::<1>().map(drop),
+            0x95 => self.take_array::<8>().map(drop),
             b'(' => {
                 self.marks.push(self.stack.len());
                 Ok(())
             }
             b'0' => self.pop().map(drop),
             b'N' => self.push(Object::None),
-            0x88 | 0x89 => self.push(Object::Truth(operation == 0x88)),
+            0x88 | 0x89 => self.push(Object::Bool(operation == 0x88)),
             b'J' => {
-                let bytes = self.array()?;
+                let bytes = self.take_array()?;
                 self.push(Object::Integer(i32::from_le_bytes(bytes).into()))
             }
             b'K' => {
-                let [byte] = self.array()?;
+                let [byte] = self.take_array()?;
                 self.push(Object::Integer(byte.into()))
             }
             b'M' => {
-                let bytes = self.array()?;
+                let bytes = self.take_array()?;
                 self.push(Object::Integer(u16::from_le_bytes(bytes).into()))
             }
             0x8a => self.long(),
             b'G' => {
-                let bytes = self.array()?;
-                self.push(Object::Number(f64::from_be_bytes(bytes)))
+                let bytes = self.take_array()?;
+                self.push(Object::Float(f64::from_be_bytes(bytes)))
             }
             b'X' => self.text(4),
             0x8c => self.text(1),
@@ -183,11 +183,11 @@ impl<'a> Machine<'a> {
             b']' => self.push(Object::List(Vec::new())),
             b')' => self.push(Object::Tuple(Vec::new())),
             b't' => {
-                let members = self.since_mark()?;
+                let members = self.pop_to_mark()?;
                 self.push(Object::Tuple(members))
             }
             b'l' => {
-                let members = self.since_mark()?;
+                let members = self.pop_to_mark()?;
                 self.push(Object::List(members))
             }
             0x85..=0x87 => {
@@ -197,7 +197,7 @@ impl<'a> Machine<'a> {
                 self.push(Object::Tuple(members))
             }
             b'c' => {
-                let (module, name) = (self.line()?, self.line()?);
+                let (module, name) = (self.take_line()?, self.take_line()?);
                 self.push(Object::Global(module, name))
             }
             0x93 => {
@@ -213,7 +213,7 @@ impl<'a> Machine<'a> {
             // What is called, with what.
             b'R' | 0x81 => {
                 let (arguments, of) = (self.pop()?, self.pop()?);
-                self.push(Object::Call(Call { of, arguments, state: None, items: Vec::new() }))
+                self.push(Object::Call(Call { callee: of, arguments, state: None, items: Vec::new() }))
             }
             b'b' => {
                 let state = self.pop()?;
@@ -226,53 +226,53 @@ impl<'a> Machine<'a> {
             }
             b's' => {
                 let (value, key) = (self.pop()?, self.pop()?);
-                self.fill(&[key, value])
+                self.set_items(&[key, value])
             }
             b'u' => {
-                let members = self.since_mark()?;
-                self.fill(&members)
+                let members = self.pop_to_mark()?;
+                self.set_items(&members)
             }
             b'a' => {
                 let member = self.pop()?;
-                self.lengthen(&[member])
+                self.append(&[member])
             }
             b'e' => {
-                let members = self.since_mark()?;
-                self.lengthen(&members)
+                let members = self.pop_to_mark()?;
+                self.append(&members)
             }
             b'q' => {
-                let [place] = self.array()?;
-                self.remember(place.into())
+                let [place] = self.take_array()?;
+                self.memoize(place.into())
             }
             b'r' => {
-                let place = u32::from_le_bytes(self.array()?);
-                self.remember(place as usize)
+                let place = u32::from_le_bytes(self.take_array()?);
+                self.memoize(place as usize)
             }
-            0x94 => self.remember(self.memo.len()),
+            0x94 => self.memoize(self.memo.len()),
             b'h' => {
-                let [place] = self.array()?;
-                self.recall(place.into())
+                let [place] = self.take_array()?;
+                self.get_memo(place.into())
             }
             b'j' => {
-                let place = u32::from_le_bytes(self.array()?);
-                self.recall(place as usize)
+                let place = u32::from_le_bytes(self.take_array()?);
+                self.get_memo(place as usize)
             }
             b'Q' => {
                 let description = self.pop()?;
-                self.push(Object::Outside(description))
+                self.push(Object::PersistentId(description))
             }
             other => Err(damaged(format!("the operation {other:#04x}, which is not followed"))),
         }
     }
 
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], NetworkError> {
+    fn take_array<const N: usize>(&mut self) -> Result<[u8; N], NetworkError> {
         let (bytes, rest) = self.rest.split_first_chunk().ok_or_else(|| damaged("it is cut off"))?;
         self.rest = rest;
         Ok(*bytes)
     }
 
     /// Bytes behind their count.
-    fn counted(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
+    fn take_length_prefixed(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
         let (count, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
         let count = count.iter().rev().fold(0_u64, |number, &byte| number << 8 | u64::from(byte));
         let count = usize::try_from(count).unwrap_or(usize::MAX);
@@ -282,18 +282,18 @@ impl<'a> Machine<'a> {
     }
 
     fn text(&mut self, bytes: usize) -> Result<(), NetworkError> {
-        let text = std::str::from_utf8(self.counted(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
+        let text = std::str::from_utf8(self.take_length_prefixed(bytes)?).map_err(|_| damaged("text that is not UTF-8"))?;
         self.push(Object::Text(text))
     }
 
     fn bytes(&mut self, bytes: usize) -> Result<(), NetworkError> {
-        let bytes = self.counted(bytes)?;
+        let bytes = self.take_length_prefixed(bytes)?;
         self.push(Object::Bytes(bytes))
     }
 
     /// A whole number of up to eight bytes; a longer one is nothing that is looked at.
     fn long(&mut self) -> Result<(), NetworkError> {
-        let bytes = self.counted(1)?;
+        let bytes = self.take_length_prefixed(1)?;
         let mut eight = if bytes.last().is_some_and(|byte| byte & 0x80 != 0) { [0xff; 8] } else { [0; 8] };
         let value = match eight.get_mut(..bytes.len()) {
             Some(low) => {
@@ -305,7 +305,7 @@ impl<'a> Machine<'a> {
         self.push(value)
     }
 
-    fn line(&mut self) -> Result<&'a str, NetworkError> {
+    fn take_line(&mut self) -> Result<&'a str, NetworkError> {
         let end = self.rest.iter().position(|&byte| byte == b'\n').ok_or_else(|| damaged("a line without end"))?;
         let line = std::str::from_utf8(&self.rest[..end]).map_err(|_| damaged("a name that is not UTF-8"))?;
         self.rest = &self.rest[end + 1..];
@@ -313,28 +313,28 @@ impl<'a> Machine<'a> {
     }
 
     fn push(&mut self, value: Object<'a>) -> Result<(), NetworkError> {
-        if self.values.len() >= MOST_VALUES {
-            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        if self.values.len() >= MAX_VALUES {
+            return Err(damaged(format!("more than {MAX_VALUES} values")));
         }
-        self.stack.push(Id(self.values.len()));
+        self.stack.push(ValueId(self.values.len()));
         self.values.push(value);
         Ok(())
     }
 
-    fn pop(&mut self) -> Result<Id, NetworkError> {
+    fn pop(&mut self) -> Result<ValueId, NetworkError> {
         self.stack.pop().ok_or_else(|| damaged("an empty stack"))
     }
 
-    fn top(&self) -> Result<Id, NetworkError> {
+    fn top(&self) -> Result<ValueId, NetworkError> {
         self.stack.last().copied().ok_or_else(|| damaged("an empty stack"))
     }
 
-    fn since_mark(&mut self) -> Result<Vec<Id>, NetworkError> {
+    fn pop_to_mark(&mut self) -> Result<Vec<ValueId>, NetworkError> {
         let mark = self.marks.pop().filter(|&mark| mark <= self.stack.len()).ok_or_else(|| damaged("a lost mark"))?;
         Ok(self.stack.split_off(mark))
     }
 
-    fn fill(&mut self, members: &[Id]) -> Result<(), NetworkError> {
+    fn set_items(&mut self, members: &[ValueId]) -> Result<(), NetworkError> {
         let (pairs, rest) = members.as_chunks::<2>();
         let top = self.top()?;
         match self.values.get_mut(top.0) {
@@ -346,7 +346,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    fn lengthen(&mut self, members: &[Id]) -> Result<(), NetworkError> {
+    fn append(&mut self, members: &[ValueId]) -> Result<(), NetworkError> {
         let top = self.top()?;
         match self.values.get_mut(top.0) {
             Some(Object::List(list)) => list.extend(members),
@@ -357,20 +357,20 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    fn remember(&mut self, place: usize) -> Result<(), NetworkError> {
+    fn memoize(&mut self, place: usize) -> Result<(), NetworkError> {
         let top = self.top()?;
-        if self.memo.len() >= MOST_VALUES {
-            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        if self.memo.len() >= MAX_VALUES {
+            return Err(damaged(format!("more than {MAX_VALUES} values")));
         }
         self.memo.insert(place, top);
         Ok(())
     }
 
-    fn recall(&mut self, place: usize) -> Result<(), NetworkError> {
+    fn get_memo(&mut self, place: usize) -> Result<(), NetworkError> {
         let value = *self.memo.get(&place).ok_or_else(|| damaged("a value that was not remembered"))?;
         // The stack grows, the values do not.
-        if self.stack.len() >= MOST_VALUES {
-            return Err(damaged(format!("more than {MOST_VALUES} values")));
+        if self.stack.len() >= MAX_VALUES {
+            return Err(damaged(format!("more than {MAX_VALUES} values")));
         }
         self.stack.push(value);
         Ok(())

@@ -4,7 +4,7 @@ use super::*;
 use crate::policy::Workspace;
 
 /// A field of bytes.
-fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
+fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut all = vec![number << 3 | 2];
     let mut length = bytes.len();
     while length > 127 {
@@ -17,7 +17,7 @@ fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
 }
 
 /// A field of a small number.
-fn small(number: u8, value: u8) -> Vec<u8> {
+fn varint_field(number: u8, value: u8) -> Vec<u8> {
     vec![number << 3, value]
 }
 
@@ -36,11 +36,11 @@ fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -
     [inputs, field(2, output.as_bytes()), field(3, name.as_bytes()), field(4, operator.as_bytes()), attributes].concat()
 }
 
-fn whole_attribute(name: &str, value: u8) -> Vec<u8> {
+fn integer_attribute(name: &str, value: u8) -> Vec<u8> {
     [field(1, name.as_bytes()), small(3, value)].concat()
 }
 
-fn shaped(name: &str, shape: &[u8]) -> Vec<u8> {
+fn value_info(name: &str, shape: &[u8]) -> Vec<u8> {
     let dims: Vec<u8> = shape.iter().flat_map(|&size| field(1, &small(1, size))).collect();
     [field(1, name.as_bytes()), field(2, &field(1, &field(2, &dims)))].concat()
 }
@@ -67,7 +67,7 @@ fn answer(bytes: &[u8], inputs: &[f32]) -> Vec<f32> {
 fn four_dimensions_go_into_an_old_gemm_and_what_is_subtracted_is_not_lost() {
     let nodes = [
         node("Sub", &["x", "ones"], "a", &[]),
-        node("Gemm", &["a", "w", "b"], "c", &[whole_attribute("broadcast", 1)]),
+        node("Gemm", &["a", "w", "b"], "c", &[integer_attribute("broadcast", 1)]),
         node("Relu", &["c"], "y", &[]),
     ];
     let constants = [
@@ -139,7 +139,7 @@ fn what_is_not_followed_is_refused_by_operator_and_node() {
 #[test]
 fn a_cast_between_real_numbers_changes_nothing() {
     let cast = |to: u8| {
-        let nodes = [node("Cast", &["x"], "a", &[whole_attribute("to", to)]), node("Relu", &["a"], "y", &[])];
+        let nodes = [node("Cast", &["x"], "a", &[integer_attribute("to", to)]), node("Relu", &["a"], "y", &[])];
         model(13, &[2], &nodes, &[])
     };
     assert_eq!(answer(&cast(1), &[2.5, -1.0]), [2.5, 0.0]);

@@ -51,21 +51,21 @@ impl Elementwise {
     /// Changes rows of `width` numbers in place.
     pub(crate) fn apply(&self, values: &mut [f32], width: usize) {
         match self {
-            Self::Add(operands) => by_pairs(values, operands, |x, a| x + a),
-            Self::Multiply(operands) => by_pairs(values, operands, |x, a| x * a),
-            Self::Divide(operands) => by_pairs(values, operands, |x, a| x / a),
+            Self::Add(operands) => map_rows(values, operands, |x, a| x + a),
+            Self::Multiply(operands) => map_rows(values, operands, |x, a| x * a),
+            Self::Divide(operands) => map_rows(values, operands, |x, a| x / a),
             Self::Clip { low, high } => {
                 for row in values.chunks_exact_mut(width.max(1)) {
                     for ((value, &low), &high) in row.iter_mut().zip(low).zip(high) {
-                        *value = cut(*value, low, high);
+                        *value = clamp(*value, low, high);
                     }
                 }
             }
-            Self::Relu => each(values, |x| if x > 0.0 { x } else { 0.0 }),
-            Self::LeakyRelu { slope } => each(values, |x| if x < 0.0 { slope * x } else { x }),
-            Self::Elu { alpha } => each(values, |x| if x < 0.0 { alpha * libm::expm1f(x) } else { x }),
-            Self::Tanh => each(values, libm::tanhf),
-            Self::Sigmoid => each(values, |x| 1.0 / (1.0 + libm::expf(-x))),
+            Self::Relu => map_values(values, |x| if x > 0.0 { x } else { 0.0 }),
+            Self::LeakyRelu { slope } => map_values(values, |x| if x < 0.0 { slope * x } else { x }),
+            Self::Elu { alpha } => map_values(values, |x| if x < 0.0 { alpha * libm::expm1f(x) } else { x }),
+            Self::Tanh => map_values(values, libm::tanhf),
+            Self::Sigmoid => map_values(values, |x| 1.0 / (1.0 + libm::expf(-x))),
         }
     }
 
@@ -99,18 +99,18 @@ impl Elementwise {
 
 /// A number cut to lie between two; by hand, since of 0 and -0 `f32::max` may give either.
 #[inline]
-fn cut(value: f32, low: f32, high: f32) -> f32 {
+fn clamp(value: f32, low: f32, high: f32) -> f32 {
     let value = if value < low { low } else { value };
     if value > high { high } else { value }
 }
 
 #[inline]
-fn each(values: &mut [f32], change: impl Fn(f32) -> f32) {
+fn map_values(values: &mut [f32], change: impl Fn(f32) -> f32) {
     values.iter_mut().for_each(|value| *value = change(*value));
 }
 
 #[inline]
-fn by_pairs(values: &mut [f32], operands: &[f32], change: impl Fn(f32, f32) -> f32) {
+fn map_rows(values: &mut [f32], operands: &[f32], change: impl Fn(f32, f32) -> f32) {
     for row in values.chunks_exact_mut(operands.len().max(1)) {
         row.iter_mut().zip(operands).for_each(|(value, &operand)| *value = change(*value, operand));
     }

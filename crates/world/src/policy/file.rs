@@ -7,20 +7,20 @@ use std::path::{Path, PathBuf};
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
-use super::header::{POLICY_VERSION, PolicyHeader, STATE};
-use super::{Departure, Network, Policy};
+use super::header::{POLICY_VERSION, PolicyHeader, STATE_LEN};
+use super::{ResidualControl, Network, Policy};
 
 /// The one metadata key; a single key keeps the bytes the same from run to run.
-const KEY: &str = "crumple_policy";
+const METADATA_KEY: &str = "crumple_policy";
 
 /// Largest file that is read.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 
 /// Deepest and widest network that is accepted.
-const MOST_LAYERS: usize = 16;
-const WIDEST_LAYER: usize = 4096;
+const MAX_LAYERS: usize = 16;
+const MAX_LAYER_WIDTH: usize = 4096;
 /// Most decisions whose numbers a network may see, and most decisions from one of them to the next.
-pub const LONGEST_HISTORY: usize = 64;
+pub const MAX_HISTORY: usize = 64;
 
 /// Why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -43,13 +43,13 @@ pub enum PolicyError {
         reason: Box<Self>,
     },
     /// It is too large.
-    #[error("the policy file has more than {MOST_BYTES} bytes")]
+    #[error("the policy file has more than {MAX_BYTES} bytes")]
     TooLarge,
     /// It is no safetensors file, or a truncated one.
     #[error("not a whole safetensors file: {0}")]
     Container(#[from] SafeTensorError),
     /// The header is missing, or does not say what it should.
-    #[error("header `{KEY}`: {0}")]
+    #[error("header `{METADATA_KEY}`: {0}")]
     Header(String),
     /// The network's numbers are finite, but too large to be calculated with.
     #[error(
@@ -78,7 +78,7 @@ impl Policy {
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let failed = |source| PolicyError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
-        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
+        File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
         Self::from_bytes(&bytes)
             .map_err(|reason| PolicyError::InFile { path: path.to_owned(), reason: Box::new(reason) })
     }
@@ -88,11 +88,11 @@ impl Policy {
     /// # Errors
     /// [`PolicyError`], as for [`Policy::load`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
-        if bytes.len() as u64 > MOST_BYTES {
+        if bytes.len() as u64 > MAX_BYTES {
             return Err(PolicyError::TooLarge);
         }
         let (_, container) = SafeTensors::read_metadata(bytes)?;
-        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
         let text = text.ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
         let version = serde_json::from_str::<serde_json::Value>(text).ok();
         let version = version.as_ref().and_then(|header| header.get("version")).and_then(serde_json::Value::as_u64);
@@ -101,9 +101,9 @@ impl Policy {
             return Err(PolicyError::Header(problem));
         }
         let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
-        check(&header)?;
+        check_header(&header)?;
         let tensors = SafeTensors::deserialize(bytes)?;
-        let sizes = sizes(&header);
+        let sizes = layer_sizes(&header);
         // Checked before anything is allocated: a small file cannot ask for a large network.
         let described: usize = sizes.windows(2).map(|pair| pair.iter().product::<usize>() + pair[1]).sum();
         if described.saturating_mul(4) > bytes.len() {
@@ -113,7 +113,7 @@ impl Policy {
         let mut network = Network::zeros(&sizes);
         let layers = network.layers();
         if let Some(name) = tensors.names().into_iter().find(|name| !tensor_names(layers.len()).any(|n| n == **name)) {
-            return Err(wrong(name, "is not part of the network the header describes".to_owned()));
+            return Err(tensor_error(name, "is not part of the network the header describes".to_owned()));
         }
         for (index, layer) in layers.enumerate() {
             let (weights, biases) = (layer.weights(), layer.biases());
@@ -121,7 +121,7 @@ impl Policy {
             read_tensor(&tensors, &weight_name(index), &[layer.inputs, layer.outputs], &mut parameters[weights])?;
             read_tensor(&tensors, &bias_name(index), &[layer.outputs], &mut parameters[biases])?;
         }
-        Self::ready(header, network)
+        Self::from_checked_parts(header, network)
     }
 
     /// The bytes of the policy file: the same for the same policy.
@@ -143,7 +143,7 @@ impl Policy {
             .iter()
             .map(|(name, shape, bytes)| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
             .collect::<Result<Vec<_>, SafeTensorError>>()?;
-        Ok(safetensors::serialize(views, Some([(KEY.to_owned(), text)].into()))?)
+        Ok(safetensors::serialize(views, Some([(METADATA_KEY.to_owned(), text)].into()))?)
     }
 }
 
@@ -160,11 +160,11 @@ fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
 }
 
 /// Layer sizes of the actor that a header describes.
-pub(super) fn sizes(header: &PolicyHeader) -> Vec<usize> {
-    [&[STATE * header.observation.history], header.hidden.as_slice(), &[1]].concat()
+pub(super) fn layer_sizes(header: &PolicyHeader) -> Vec<usize> {
+    [&[STATE_LEN * header.observation.history], header.hidden.as_slice(), &[1]].concat()
 }
 
-fn wrong(tensor: &str, problem: String) -> PolicyError {
+fn tensor_error(tensor: &str, problem: String) -> PolicyError {
     PolicyError::Tensor { tensor: tensor.to_owned(), problem }
 }
 
@@ -174,12 +174,12 @@ fn read_tensor(
     shape: &[usize],
     parameters: &mut [f32],
 ) -> Result<(), PolicyError> {
-    let Ok(view) = tensors.tensor(name) else { return Err(wrong(name, "is missing".to_owned())) };
+    let Ok(view) = tensors.tensor(name) else { return Err(tensor_error(name, "is missing".to_owned())) };
     if view.dtype() != Dtype::F32 {
-        return Err(wrong(name, format!("must be F32, found {:?}", view.dtype())));
+        return Err(tensor_error(name, format!("must be F32, found {:?}", view.dtype())));
     }
     if view.shape() != shape {
-        return Err(wrong(name, format!("must have shape {shape:?}, found {:?}", view.shape())));
+        return Err(tensor_error(name, format!("must have shape {shape:?}, found {:?}", view.shape())));
     }
     let (values, _) = view.data().as_chunks::<4>();
     for (parameter, &bytes) in parameters.iter_mut().zip(values) {
@@ -188,21 +188,21 @@ fn read_tensor(
     if parameters.iter().all(|value| value.is_finite()) {
         Ok(())
     } else {
-        Err(wrong(name, "holds a number that is not finite".to_owned()))
+        Err(tensor_error(name, "holds a number that is not finite".to_owned()))
     }
 }
 
 /// Whether a header can be driven with.
-pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
+pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
     let wrong = |field: &str, problem: String| Err(PolicyError::Header(format!("{field}: {problem}")));
     if header.version != POLICY_VERSION {
         return wrong("version", format!("{} is not supported: this release reads {POLICY_VERSION}", header.version));
     }
-    if header.hidden.len() > MOST_LAYERS {
-        return wrong("hidden", format!("at most {MOST_LAYERS} layers are allowed, found {}", header.hidden.len()));
+    if header.hidden.len() > MAX_LAYERS {
+        return wrong("hidden", format!("at most {MAX_LAYERS} layers are allowed, found {}", header.hidden.len()));
     }
-    if let Some(width) = header.hidden.iter().find(|width| !(1..=WIDEST_LAYER).contains(*width)) {
-        return wrong("hidden", format!("a layer must be 1 to {WIDEST_LAYER} wide, found {width}"));
+    if let Some(width) = header.hidden.iter().find(|width| !(1..=MAX_LAYER_WIDTH).contains(*width)) {
+        return wrong("hidden", format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {width}"));
     }
     let observation = &header.observation;
     if !observation.offset.iter().all(|offset| offset.is_finite()) {
@@ -214,8 +214,8 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
     for (field, decisions) in
         [("observation.history", observation.history), ("observation.history_every", observation.history_every)]
     {
-        if !(1..=LONGEST_HISTORY).contains(&decisions) {
-            return wrong(field, format!("must be 1 to {LONGEST_HISTORY} decisions, found {decisions}"));
+        if !(1..=MAX_HISTORY).contains(&decisions) {
+            return wrong(field, format!("must be 1 to {MAX_HISTORY} decisions, found {decisions}"));
         }
     }
     for (field, value) in [
@@ -234,7 +234,7 @@ pub(super) fn check(header: &PolicyHeader) -> Result<(), PolicyError> {
     if !(action.low_mps2 - action.high_mps2).is_finite() || !(action.low_mps2 + action.high_mps2).is_finite() {
         return wrong("action", "the bounds must be finite, and so their sum and difference".to_owned());
     }
-    if let Some(Err((field, problem))) = action.departs_from.as_ref().map(Departure::check) {
+    if let Some(Err((field, problem))) = action.residual_over.as_ref().map(ResidualControl::check) {
         return wrong("action.departs_from", format!("{field} {problem}"));
     }
     Ok(())

@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::departure::Departure;
+use super::residual::ResidualControl;
 use crate::observation::{EstimatorKind, Neighbour, Observation};
 
 /// Version of the policy file format this release reads and writes.
 pub const POLICY_VERSION: u32 = 1;
 
 /// Numbers a policy sees at a decision: the paper's eight.
-pub const STATE: usize = 8;
+pub const STATE_LEN: usize = 8;
 
 /// The header of a policy file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,9 +44,9 @@ pub struct PolicyHeader {
 #[serde(deny_unknown_fields)]
 pub struct ObservationScaling {
     /// Subtracted: metres, m/s or m/s².
-    pub offset: [f64; STATE],
+    pub offset: [f64; STATE_LEN],
     /// Divided by: metres, m/s or m/s², positive.
-    pub scale: [f64; STATE],
+    pub scale: [f64; STATE_LEN],
     /// Scaled numbers are cut to plus and minus this.
     pub limit: f64,
     /// Gap to the vehicle that stands in for one that is not there, in metres; it drives as fast as the ego.
@@ -85,7 +85,7 @@ impl ObservationScaling {
     /// What the network sees of the present. A number that is not finite counts as the limit or as 0.
     #[must_use]
     #[inline]
-    pub fn state(&self, seen: &Observation) -> [f32; STATE] {
+    pub fn state(&self, seen: &Observation) -> [f32; STATE_LEN] {
         let empty = Neighbour { gap_m: self.empty_gap_m, speed_mps: seen.speed_mps, acceleration_mps2: 0.0 };
         let (ahead, behind) = (seen.ahead.unwrap_or(empty), seen.behind.unwrap_or(empty));
         let numbers = [
@@ -115,12 +115,13 @@ pub struct ActionBounds {
     pub high_mps2: f64,
     /// The law that is followed unless the network says otherwise; without one it says the acceleration itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub departs_from: Option<Departure>,
+    #[serde(rename = "departs_from")]
+    pub residual_over: Option<ResidualControl>,
 }
 
 impl Default for ActionBounds {
     fn default() -> Self {
-        Self { low_mps2: -7.5, high_mps2: 3.0, departs_from: None }
+        Self { low_mps2: -7.5, high_mps2: 3.0, residual_over: None }
     }
 }
 
@@ -129,7 +130,7 @@ impl ActionBounds {
     /// infinity answers with, would mean full braking: a vehicle must not coast because its controller failed.
     #[must_use]
     #[inline]
-    pub(crate) fn action(raw: f32) -> f32 {
+    pub(crate) fn squash(raw: f32) -> f32 {
         if raw.is_nan() { -1.0 } else { libm::tanhf(raw) }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 
 /// The reward of an episode without contact (paper, section "DDPG training result").
-pub const PERFECT: f64 = 22_500.0;
+pub const COLLISION_FREE_REWARD: f64 = 22_500.0;
 
 /// Mean and standard deviation over trainings of the reward in evaluation. A training that has ended keeps its best.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -3,30 +3,30 @@
 //! Acting is plain single-precision arithmetic in a fixed order: a state gets the same bits alone or among
 //! others, and on any machine. No learning framework is needed to drive.
 
-mod departure;
+mod residual;
 mod elementwise;
 mod file;
 mod header;
 mod learning_curve;
 mod network;
-mod past;
+mod frame_stack;
 mod product;
 mod simd;
 
 use std::sync::{Arc, LazyLock};
 
-pub use departure::{Departure, Held};
+pub use residual::{ResidualControl, HeldAction};
 pub use elementwise::Elementwise;
-pub use file::{LONGEST_HISTORY, PolicyError};
-pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE};
-pub use learning_curve::{CurvePoint, LearningCurve, PERFECT};
-pub(crate) use network::Acting;
+pub use file::{MAX_HISTORY, PolicyError};
+pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
+pub use learning_curve::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};
+pub(crate) use network::PackedNetwork;
 pub use network::{Network, Workspace};
-pub use past::Past;
-pub use product::{Left, Panels, Right, multiply_vector, with_hands_ready};
+pub use frame_stack::FrameStack;
+pub use product::{Lhs, PackedPanels, Rhs, multiply_vector, with_workers};
 #[cfg(test)]
-pub(crate) use simd::every_path;
-pub use simd::{InSimd, doubles_at_once, fuses_multiply_add};
+pub(crate) use simd::available_archs;
+pub use simd::{SimdClosure, f64_lanes, has_fused_multiply_add};
 
 use crate::observation::Observation;
 
@@ -52,7 +52,7 @@ static RETRAINED: LazyLock<Arc<Policy>> =
 pub struct Policy {
     header: PolicyHeader,
     network: Network,
-    acting: Acting,
+    packed: PackedNetwork,
     /// SHA-256 of its file.
     digest: String,
 }
@@ -63,25 +63,25 @@ impl Policy {
     /// # Errors
     /// [`PolicyError`] if the header is not usable, or describes another network.
     pub fn new(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
-        file::check(&header)?;
-        let sizes = file::sizes(&header);
+        file::check_header(&header)?;
+        let sizes = file::layer_sizes(&header);
         if network.sizes() != sizes {
             let problem = format!("describes layers of {sizes:?}, the network has {:?}", network.sizes());
             return Err(PolicyError::Header(problem));
         }
         if network.parameters().iter().all(|value| value.is_finite()) {
-            Self::ready(header, network)
+            Self::from_checked_parts(header, network)
         } else {
             Err(PolicyError::Header("the network holds a number that is not finite".to_owned()))
         }
     }
 
     /// A policy of parts that fit each other.
-    fn ready(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
+    fn from_checked_parts(header: PolicyHeader, network: Network) -> Result<Self, PolicyError> {
         if let Some(layer) = network.overflowing_layer(header.observation.limit) {
             return Err(PolicyError::Overflow { layer });
         }
-        let mut policy = Self { header, acting: Acting::new(&network), network, digest: String::new() };
+        let mut policy = Self { header, packed: PackedNetwork::new(&network), network, digest: String::new() };
         policy.digest = crumple_core::digest::sha256(policy.to_bytes()?);
         Ok(policy)
     }
@@ -128,26 +128,26 @@ impl Policy {
         self.digest.clone()
     }
 
-    /// What the network sees at a decision: a row of numbers, [`STATE`] for each decision that it looks back on.
-    pub fn look<'p>(&self, seen: &Observation, past: &'p mut Past) -> &'p [f32] {
+    /// What the network sees at a decision: a row of numbers, [`STATE_LEN`] for each decision that it looks back on.
+    pub fn observe<'p>(&self, seen: &Observation, past: &'p mut FrameStack) -> &'p [f32] {
         let scaling = &self.header.observation;
-        past.look_back([scaling.history, scaling.history_every], &scaling.state(seen))
+        past.push([scaling.history, scaling.history_every], &scaling.state(seen))
     }
 
     /// The action chosen at one decision, between -1 and 1, for what the network [sees](Policy::look).
     #[must_use]
     pub fn choose(&self, row: &[f32], space: &mut Workspace) -> f32 {
-        match *self.acting.forward(row, 1, space) {
-            [raw] => ActionBounds::action(raw),
+        match *self.packed.forward(row, 1, space) {
+            [raw] => ActionBounds::squash(raw),
             _ => -1.0,
         }
     }
 
     /// What [`Policy::choose`] answers for each of many rows, one after the other, as one matrix product a layer.
-    pub fn choose_all(&self, rows: &[f32], space: &mut Workspace, actions: &mut [f32]) {
-        let answers = self.acting.forward(rows, actions.len(), space);
+    pub fn choose_batch(&self, rows: &[f32], space: &mut Workspace, actions: &mut [f32]) {
+        let answers = self.packed.forward(rows, actions.len(), space);
         for (action, &raw) in actions.iter_mut().zip(answers) {
-            *action = ActionBounds::action(raw);
+            *action = ActionBounds::squash(raw);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! A fully connected network: rectified hidden layers, a linear output.
 
 use super::elementwise::Elementwise;
-use super::product::{Left, Panels, Right, multiply_vector};
+use super::product::{Lhs, PackedPanels, Rhs, multiply_vector};
 
 /// Shape and parameters of a network.
 ///
@@ -15,22 +15,22 @@ pub struct Network {
 
 /// Where one layer's parameters lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Layer {
+pub struct LayerLayout {
     pub inputs: usize,
     pub outputs: usize,
     /// First parameter of the layer.
-    pub from: usize,
+    pub offset: usize,
 }
 
-impl Layer {
+impl LayerLayout {
     #[inline]
     pub fn weights(self) -> std::ops::Range<usize> {
-        self.from..self.from + self.inputs * self.outputs
+        self.offset..self.offset + self.inputs * self.outputs
     }
 
     #[inline]
     pub fn biases(self) -> std::ops::Range<usize> {
-        let from = self.from + self.inputs * self.outputs;
+        let from = self.offset + self.inputs * self.outputs;
         from..from + self.outputs
     }
 }
@@ -67,13 +67,13 @@ impl Network {
 
     /// The layers from input to output.
     #[inline]
-    pub fn layers(&self) -> impl DoubleEndedIterator<Item = Layer> + ExactSizeIterator + use<> {
+    pub fn layers(&self) -> impl DoubleEndedIterator<Item = LayerLayout> + ExactSizeIterator + use<> {
         let mut from = 0;
-        let layers: Vec<Layer> = self
+        let layers: Vec<LayerLayout> = self
             .sizes
             .windows(2)
             .map(|pair| {
-                let layer = Layer { inputs: pair[0], outputs: pair[1], from };
+                let layer = LayerLayout { inputs: pair[0], outputs: pair[1], offset: from };
                 from = layer.biases().end;
                 layer
             })
@@ -107,37 +107,37 @@ impl Network {
     /// One layer for `batch` rows of `input`, into `out`; `panels` is working space.
     pub fn layer_forward(
         &self,
-        layer: Layer,
+        layer: LayerLayout,
         rectified: bool,
         input: &[f32],
         batch: usize,
         out: &mut [f32],
-        panels: &mut Panels,
+        panels: &mut PackedPanels,
     ) {
         let (weights, biases) = (&self.parameters[layer.weights()], &self.parameters[layer.biases()]);
         if layer.outputs == 1 && !rectified {
             multiply_vector(input, weights, biases[0], out);
         } else {
-            panels.pack_together(Right::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
-            panels.multiply_together(Left::Rows(input), batch, rectified, out);
+            panels.pack_parallel(Rhs::Rows(weights), Some(biases), [layer.inputs, layer.outputs]);
+            panels.multiply_parallel(Lhs::Rows(input), batch, rectified, out);
         }
     }
 }
 
 /// A network whose weights are laid out for acting.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Acting {
-    steps: Vec<ActingStep>,
+pub(crate) struct PackedNetwork {
+    steps: Vec<PackedStep>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-enum ActingStep {
+enum PackedStep {
     /// A product with a matrix, its negative elements turned into 0 if `rectified`.
-    Many { panels: Panels, outputs: usize, rectified: bool },
+    Matrix { panels: PackedPanels, outputs: usize, rectified: bool },
     /// A product with a vector.
-    One { weights: Vec<f32>, bias: f32 },
+    Generator { weights: Vec<f32>, bias: f32 },
     /// Something done to each number of rows of this width.
-    Each(Elementwise, usize),
+    Elementwise(Elementwise, usize),
 }
 
 /// Working space of an acting network.
@@ -147,7 +147,7 @@ pub struct Workspace {
     back: Vec<f32>,
 }
 
-impl Acting {
+impl PackedNetwork {
     pub(super) fn new(network: &Network) -> Self {
         let last = network.layers().len() - 1;
         let mut acting = Self::default();
@@ -170,18 +170,18 @@ impl Acting {
         rectified: bool,
     ) {
         self.steps.push(match biases {
-            [bias] if is_last => ActingStep::One { weights: weights.to_vec(), bias: *bias },
+            [bias] if is_last => PackedStep::Vector { weights: weights.to_vec(), bias: *bias },
             _ => {
                 let outputs = biases.len();
-                let panels = Panels::of(Right::Rows(weights), Some(biases), [inputs, outputs]);
-                ActingStep::Many { panels, outputs, rectified }
+                let panels = PackedPanels::new(Rhs::Rows(weights), Some(biases), [inputs, outputs]);
+                PackedStep::Matrix { panels, outputs, rectified }
             }
         });
     }
 
     /// Appends what is done to each of `width` numbers.
-    pub(crate) fn push_each(&mut self, each: Elementwise, width: usize) {
-        self.steps.push(ActingStep::Each(each, width));
+    pub(crate) fn push_elementwise(&mut self, each: Elementwise, width: usize) {
+        self.steps.push(PackedStep::Elementwise(each, width));
     }
 
     /// Output for `batch` rows of `input`. Each row's bits do not depend on the others.
@@ -191,15 +191,15 @@ impl Acting {
         for step in &self.steps {
             let Workspace { front, back } = space;
             match step {
-                ActingStep::Many { panels, outputs, rectified } => {
+                PackedStep::Matrix { panels, outputs, rectified } => {
                     back.resize(batch * outputs, 0.0);
-                    panels.multiply(Left::Rows(front), batch, *rectified, back);
+                    panels.multiply(Lhs::Rows(front), batch, *rectified, back);
                 }
-                ActingStep::One { weights, bias } => {
+                PackedStep::Vector { weights, bias } => {
                     back.resize(batch, 0.0);
                     multiply_vector(front, weights, *bias, back);
                 }
-                ActingStep::Each(each, width) => {
+                PackedStep::Elementwise(each, width) => {
                     each.apply(front, *width);
                     continue;
                 }

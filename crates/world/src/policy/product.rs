@@ -16,28 +16,28 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use pulp::{Arch, Simd, WithSimd, bytemuck};
 use rayon::prelude::*;
 
-use super::simd::InSimd;
+use super::simd::SimdClosure;
 
 /// Columns of a panel: two of the widest vector registers.
-const PANEL: usize = 32;
+const PANEL_COLUMNS: usize = 32;
 
 /// Multiplications that are worth handing to another thread: some fifty microseconds.
-const SHARED_OUT: usize = 5_000_000;
+const MIN_PARALLEL_MULTIPLICATIONS: usize = 5_000_000;
 
 /// Numbers of a factor that are worth being packed by several threads.
-const WIDELY_PACKED: usize = 50_000;
+const MIN_PARALLEL_PACK_LEN: usize = 50_000;
 
 /// Rows that are computed together at most.
-const MOST_ROWS: usize = 8;
+const MAX_TILE_ROWS: usize = 8;
 
 /// One row of a panel, at the start of a cache line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
-struct Row([f32; PANEL]);
+struct PanelRow([f32; PANEL_COLUMNS]);
 
 /// The left factor of a product with m rows and k columns.
 #[derive(Clone, Copy)]
-pub enum Left<'a> {
+pub enum Lhs<'a> {
     /// Row after row: m rows of k.
     Rows(&'a [f32]),
     /// Column after column: k columns of m, that is, a matrix of k rows to be taken transposed.
@@ -46,7 +46,7 @@ pub enum Left<'a> {
 
 /// The right factor of a product with k rows and n columns.
 #[derive(Clone, Copy)]
-pub enum Right<'a> {
+pub enum Rhs<'a> {
     /// Row after row: k rows of n.
     Rows(&'a [f32]),
     /// Column after column: n columns of k, that is, a matrix of n rows to be taken transposed.
@@ -55,76 +55,76 @@ pub enum Right<'a> {
 
 /// A right factor, and the values its products start from, ready to be multiplied with.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Panels {
+pub struct PackedPanels {
     rows: usize,
     columns: usize,
     /// Panel after panel; the first row of each is what sums start from.
-    data: Vec<Row>,
+    data: Vec<PanelRow>,
 }
 
-impl Panels {
+impl PackedPanels {
     /// Takes in a factor of `rows` by `columns` numbers; sums start from `start`, or from 0.
-    pub(crate) fn pack(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+    pub(crate) fn pack(&mut self, right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
         self.reshape(shape);
         for (panel, data) in self.data.chunks_exact_mut(shape[0] + 1).enumerate() {
-            fill(data, panel * PANEL, right, start, shape);
+            fill_panel(data, panel * PANEL_COLUMNS, right, start, shape);
         }
     }
 
     /// `pack` on all threads of the pool it is called in.
-    pub fn pack_together(&mut self, right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
-        if shape[0] * shape[1] < WIDELY_PACKED {
+    pub fn pack_parallel(&mut self, right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) {
+        if shape[0] * shape[1] < MIN_PARALLEL_PACK_LEN {
             return self.pack(right, start, shape);
         }
         self.reshape(shape);
         self.data.par_chunks_exact_mut(shape[0] + 1).enumerate().for_each(|(panel, data)| {
-            fill(data, panel * PANEL, right, start, shape);
+            fill_panel(data, panel * PANEL_COLUMNS, right, start, shape);
         });
     }
 
     fn reshape(&mut self, [rows, columns]: [usize; 2]) {
         (self.rows, self.columns) = (rows, columns);
-        self.data.resize(columns.div_ceil(PANEL) * (rows + 1), Row([0.0; PANEL]));
+        self.data.resize(columns.div_ceil(PANEL_COLUMNS) * (rows + 1), PanelRow([0.0; PANEL_COLUMNS]));
     }
 
     /// A factor taken in at once.
-    pub fn of(right: Right<'_>, start: Option<&[f32]>, shape: [usize; 2]) -> Self {
+    pub fn new(right: Rhs<'_>, start: Option<&[f32]>, shape: [usize; 2]) -> Self {
         let mut panels = Self::default();
         panels.pack(right, start, shape);
         panels
     }
 
     /// The product with a left factor of `m` rows, into `out` (m rows of n); negative elements become 0 if `rectified`.
-    pub(crate) fn multiply(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
-        let (Left::Rows(data) | Left::Columns(data)) = left;
+    pub(crate) fn multiply(&self, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let (Lhs::Rows(data) | Lhs::Columns(data)) = left;
         debug_assert_eq!((data.len(), out.len()), (m * self.rows, m * self.columns));
-        self.multiply_by(Arch::new(), left, m, rectified, out);
+        self.multiply_with_arch(Arch::new(), left, m, rectified, out);
     }
 
-    fn multiply_by(&self, path: Arch, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
-        path.dispatch(Multiply { panels: self, left, m, rows: 0..m, rectified, out });
+    fn multiply_with_arch(&self, path: Arch, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        path.dispatch(Multiply { panels: self, lhs: left, m, rows: 0..m, rectified, out });
     }
 
     /// `multiply` on all threads of the pool it is called in: for products that do not run beside others.
-    pub fn multiply_together(&self, left: Left<'_>, m: usize, rectified: bool, out: &mut [f32]) {
-        let worth = (m * self.rows * self.columns / SHARED_OUT).max(1);
+    pub fn multiply_parallel(&self, left: Lhs<'_>, m: usize, rectified: bool, out: &mut [f32]) {
+        let worth = (m * self.rows * self.columns / MIN_PARALLEL_MULTIPLICATIONS).max(1);
         let parts = rayon::current_num_threads().min(worth);
         if parts == 1 {
             return self.multiply(left, m, rectified, out);
         }
-        let rows = m.div_ceil(parts).next_multiple_of(MOST_ROWS);
+        let rows = m.div_ceil(parts).next_multiple_of(MAX_TILE_ROWS);
         out.par_chunks_mut(rows * self.columns).enumerate().for_each(|(part, out)| {
             let rows = part * rows..m.min((part + 1) * rows);
-            Arch::new().dispatch(Multiply { panels: self, left, m, rows, rectified, out });
+            Arch::new().dispatch(Multiply { panels: self, lhs: left, m, rows, rectified, out });
         });
     }
 }
 
 /// Fills the panel of the columns that begin at `from`, whatever was there.
-fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
-    let width = PANEL.min(columns - from);
-    if width < PANEL {
-        data.fill(Row([0.0; PANEL]));
+fn fill_panel(data: &mut [PanelRow], from: usize, right: Rhs<'_>, start: Option<&[f32]>, [rows, columns]: [usize; 2]) {
+    let width = PANEL_COLUMNS.min(columns - from);
+    if width < PANEL_COLUMNS {
+        data.fill(PanelRow([0.0; PANEL_COLUMNS]));
     }
     let Some((first, rest)) = data.split_first_mut() else { return };
     first.0.fill(0.0);
@@ -132,12 +132,12 @@ fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, 
         first.0[..width].copy_from_slice(&start[from..from + width]);
     }
     match right {
-        Right::Rows(right) => {
+        Rhs::Rows(right) => {
             for (row, source) in rest.iter_mut().zip(right.chunks_exact(columns)) {
                 row.0[..width].copy_from_slice(&source[from..from + width]);
             }
         }
-        Right::Columns(right) => {
+        Rhs::Columns(right) => {
             for (column, source) in right.chunks_exact(rows).skip(from).take(width).enumerate() {
                 for (row, &value) in rest.iter_mut().zip(source) {
                     row.0[column] = value;
@@ -152,17 +152,17 @@ fn fill(data: &mut [Row], from: usize, right: Right<'_>, start: Option<&[f32]>, 
 /// Those that find nothing to do fall asleep after some microseconds, and to wake them up takes tens of them each time: as
 /// long as a small product. So they are kept awake, if any product will be as large as `largest` multiplications; on a busy
 /// machine they give way. They do whatever there is to do in the pool, so it must be a pool for this work alone.
-pub fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R {
+pub fn with_workers<R>(largest: usize, work: impl FnOnce() -> R) -> R {
     /// Says so when it goes, even if `work` panics.
-    struct Done<'a>(&'a AtomicBool);
-    impl Drop for Done<'_> {
+    struct SetOnDrop<'a>(&'a AtomicBool);
+    impl Drop for SetOnDrop<'_> {
         fn drop(&mut self) {
             self.0.store(true, Ordering::Release);
         }
     }
     let is_done = AtomicBool::new(false);
     rayon::in_place_scope(|scope| {
-        for _ in 1..rayon::current_num_threads().min(largest / SHARED_OUT) {
+        for _ in 1..rayon::current_num_threads().min(largest / MIN_PARALLEL_MULTIPLICATIONS) {
             scope.spawn(|_| {
                 while !is_done.load(Ordering::Acquire) {
                     if rayon::yield_now() != Some(rayon::Yield::Executed) {
@@ -171,14 +171,14 @@ pub fn with_hands_ready<R>(largest: usize, work: impl FnOnce() -> R) -> R {
                 }
             });
         }
-        let _done = Done(&is_done);
+        let _done = SetOnDrop(&is_done);
         work()
     })
 }
 
 struct Multiply<'a> {
-    panels: &'a Panels,
-    left: Left<'a>,
+    panels: &'a PackedPanels,
+    lhs: Lhs<'a>,
     /// Rows of the left factor.
     m: usize,
     /// Those of them that are to be multiplied.
@@ -195,48 +195,48 @@ impl WithSimd for Multiply<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         // Sixteen registers hold the sums where there are 32 of them, twelve where there are 16. A sum waits some four cycles for its
         // last term while two terms are begun a cycle, so eight is the least that keeps the units busy.
-        if S::F32_LANES == 16 { self.all::<S, MOST_ROWS>(simd) } else { self.all::<S, 6>(simd) }
+        if S::F32_LANES == 16 { self.multiply_all::<S, MAX_TILE_ROWS>(simd) } else { self.multiply_all::<S, 6>(simd) }
     }
 }
 
 impl Multiply<'_> {
     #[inline(always)]
-    fn all<S: Simd, const R: usize>(&mut self, simd: S) {
+    fn multiply_all<S: Simd, const R: usize>(&mut self, simd: S) {
         let panels = self.panels;
         for (index, panel) in panels.data.chunks_exact(panels.rows + 1).enumerate() {
-            for group in 0..PANEL / (2 * S::F32_LANES) {
-                let column = index * PANEL + group * 2 * S::F32_LANES;
+            for group in 0..PANEL_COLUMNS / (2 * S::F32_LANES) {
+                let column = index * PANEL_COLUMNS + group * 2 * S::F32_LANES;
                 if column >= panels.columns {
                     break;
                 }
                 let Range { start, end } = self.rows;
                 let mut row = start;
                 while row + R <= end {
-                    self.tile::<S, R>(simd, panel, group, [row, column]);
+                    self.compute_tile::<S, R>(simd, panel, group, [row, column]);
                     row += R;
                 }
                 while row + 2 <= end {
-                    self.tile::<S, 2>(simd, panel, group, [row, column]);
+                    self.compute_tile::<S, 2>(simd, panel, group, [row, column]);
                     row += 2;
                 }
                 if row < end {
-                    self.tile::<S, 1>(simd, panel, group, [row, column]);
+                    self.compute_tile::<S, 1>(simd, panel, group, [row, column]);
                 }
             }
         }
     }
 
     #[inline(always)]
-    fn tile<S: Simd, const R: usize>(&mut self, simd: S, panel: &[Row], group: usize, [row, column]: [usize; 2]) {
+    fn compute_tile<S: Simd, const R: usize>(&mut self, simd: S, panel: &[PanelRow], group: usize, [row, column]: [usize; 2]) {
         let k = self.panels.rows;
-        let mut sums = match self.left {
-            Left::Rows(left) => {
+        let mut sums = match self.lhs {
+            Lhs::Rows(left) => {
                 let rows: [&[f32]; R] = std::array::from_fn(|r| &left[(row + r) * k..(row + r + 1) * k]);
-                sums::<S, R>(simd, panel, group, |p| std::array::from_fn(|r| rows[r][p]))
+                tile_sums::<S, R>(simd, panel, group, |p| std::array::from_fn(|r| rows[r][p]))
             }
-            Left::Columns(left) => {
+            Lhs::Columns(left) => {
                 let m = self.m;
-                sums::<S, R>(simd, panel, group, |p| {
+                tile_sums::<S, R>(simd, panel, group, |p| {
                     let column = &left[p * m + row..][..R];
                     std::array::from_fn(|r| column[r])
                 })
@@ -257,13 +257,13 @@ impl Multiply<'_> {
 
 /// R rows of the product by two vectors of columns; `left` gives the R left factors of one term.
 #[inline(always)]
-fn sums<S: Simd, const R: usize>(
+fn tile_sums<S: Simd, const R: usize>(
     simd: S,
-    panel: &[Row],
+    panel: &[PanelRow],
     group: usize,
     left: impl Fn(usize) -> [f32; R],
 ) -> [[S::f32s; 2]; R] {
-    let vectors = |row: &Row| {
+    let vectors = |row: &PanelRow| {
         let (vectors, _) = S::as_simd_f32s(&row.0);
         [vectors[2 * group], vectors[2 * group + 1]]
     };
@@ -305,7 +305,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 
 /// `start` plus the product of each row of `rows` with `factor`, into `out`.
 pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]) {
-    Arch::new().dispatch(InSimd(
+    Arch::new().dispatch(SimdClosure(
         #[inline(always)]
         || {
             for (row, out) in rows.chunks_exact(factor.len()).zip(out.iter_mut()) {
@@ -317,7 +317,7 @@ pub fn multiply_vector(rows: &[f32], factor: &[f32], start: f32, out: &mut [f32]
 
 #[cfg(test)]
 mod tests {
-    use super::super::simd::every_path;
+    use super::super::simd::available_archs;
     use super::*;
     use proptest::prelude::*;
     use rand::RngExt;
@@ -336,16 +336,16 @@ mod tests {
     fn a_product_shared_out_is_the_same() {
         let [m, k, n] = [523, 241, 127];
         let (a, b) = (numbers(1, m * k), numbers(2, k * n));
-        assert!(m * k * n > 3 * SHARED_OUT);
-        let panels = Panels::of(Right::Rows(&b), None, [k, n]);
-        let product = |left: Left<'_>, threads| {
+        assert!(m * k * n > 3 * MIN_PARALLEL_MULTIPLICATIONS);
+        let panels = PackedPanels::of(Rhs::Rows(&b), None, [k, n]);
+        let product = |left: Lhs<'_>, threads| {
             let mut out = vec![f32::NAN; m * n];
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| panels.multiply_together(left, m, false, &mut out));
+            pool.install(|| panels.multiply_parallel(left, m, false, &mut out));
             out
         };
         let a_columns = transposed(&a, m, k);
-        for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
+        for left in [Lhs::Rows(&a), Lhs::Columns(&a_columns)] {
             let alone = product(left, 1);
             assert_eq!(alone, product(left, 2));
             assert_eq!(alone, product(left, 3));
@@ -364,12 +364,12 @@ mod tests {
                 })
                 .collect();
             let (a_columns, b_columns) = (transposed(&a, m, k), transposed(&b, k, n));
-            for right in [Right::Rows(&b), Right::Columns(&b_columns)] {
-                let panels = Panels::of(right, Some(&start), [k, n]);
-                for left in [Left::Rows(&a), Left::Columns(&a_columns)] {
-                    for path in every_path() {
+            for right in [Rhs::Rows(&b), Rhs::Columns(&b_columns)] {
+                let panels = PackedPanels::of(right, Some(&start), [k, n]);
+                for left in [Lhs::Rows(&a), Lhs::Columns(&a_columns)] {
+                    for path in available_archs() {
                         let mut out = vec![f32::NAN; m * n];
-                        panels.multiply_by(path, left, m, rectified, &mut out);
+                        panels.multiply_with_arch(path, left, m, rectified, &mut out);
                         prop_assert_eq!(&out, &expected);
                     }
                 }

@@ -6,9 +6,9 @@ use pulp::{Simd, WithSimd};
 ///
 /// A closure that is given to `pulp` as it is, is called once and for that through a function of its own, which is compiled
 /// for the narrowest registers.
-pub struct InSimd<F>(pub F);
+pub struct SimdClosure<F>(pub F);
 
-impl<R, F: FnMut() -> R> WithSimd for InSimd<F> {
+impl<R, F: FnMut() -> R> WithSimd for SimdClosure<F> {
     type Output = R;
 
     #[inline(always)]
@@ -19,7 +19,7 @@ impl<R, F: FnMut() -> R> WithSimd for InSimd<F> {
 
 /// Doubles in the widest vector register that the loops use on this machine. It changes times, and no bit of a result.
 #[must_use]
-pub fn doubles_at_once() -> usize {
+pub fn f64_lanes() -> usize {
     struct Width;
     impl WithSimd for Width {
         type Output = usize;
@@ -34,14 +34,14 @@ pub fn doubles_at_once() -> usize {
 /// Whether this machine multiplies and adds in one operation, rounding once. Without it the same is computed in software: equal to the bit,
 /// and networks act and learn many times as slowly.
 #[must_use]
-pub fn fuses_multiply_add() -> bool {
+pub fn has_fused_multiply_add() -> bool {
     // The loops' wide registers of x86-64 come with the operation; every 64-bit ARM has it.
-    cfg!(target_arch = "aarch64") || doubles_at_once() > 1
+    cfg!(target_arch = "aarch64") || f64_lanes() > 1
 }
 
 /// All widths of registers that this machine has, the narrowest first.
 #[cfg(test)]
-pub(crate) fn every_path() -> Vec<pulp::Arch> {
+pub(crate) fn available_archs() -> Vec<pulp::Arch> {
     let mut paths = vec![pulp::Arch::Scalar];
     #[cfg(target_arch = "x86_64")]
     {

@@ -12,7 +12,7 @@ pub(crate) fn policy(hidden: &[usize], decision_interval_s: f64, seed: u64) -> P
 }
 
 /// A policy with random weights that sees some of its past.
-fn looking_back([history, history_every]: [usize; 2], hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
+fn policy_with_history([history, history_every]: [usize; 2], hidden: &[usize], decision_interval_s: f64, seed: u64) -> Policy {
     let mut stream = crate::random::Stream::seed_from_u64(seed);
     let header = PolicyHeader {
         version: POLICY_VERSION,
@@ -45,9 +45,9 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 }
 
 /// The acceleration that a policy chooses at once, in m/s².
-fn driven_mps2(policy: &Policy, seen: &Observation) -> f64 {
+fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = Held::default();
-    held.turn_to(policy.choose(policy.look(seen, &mut Past::default()), &mut Workspace::default()));
+    held.turn_to(policy.choose(policy.look(seen, &mut FrameStack::default()), &mut Workspace::default()));
     held.acceleration_mps2(&policy.header().action, seen, 0.01)
 }
 
@@ -60,13 +60,13 @@ proptest! {
     ) {
         let policy = looking_back(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
-        let mut past = Past::default();
+        let mut past = FrameStack::default();
         let rows: Vec<_> = seen.iter().map(|seen| policy.look(seen, &mut past).to_vec()).collect();
         let mut together = vec![0.0; seen.len()];
-        policy.choose_all(&rows.concat(), &mut space, &mut together);
+        policy.choose_batch(&rows.concat(), &mut space, &mut together);
         for ((seen, row), together) in seen.iter().zip(&rows).zip(together) {
             prop_assert_eq!(policy.choose(row, &mut space).to_bits(), together.to_bits());
-            prop_assert!((-7.5..=3.0).contains(&driven_mps2(&policy, seen)));
+            prop_assert!((-7.5..=3.0).contains(&first_acceleration_mps2(&policy, seen)));
         }
     }
 
@@ -83,7 +83,7 @@ proptest! {
         }
         if let Ok(policy) = Policy::from_bytes(&changed) {
             let alone = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
-            prop_assert!(driven_mps2(&policy, &alone).is_finite());
+            prop_assert!(first_acceleration_mps2(&policy, &alone).is_finite());
         }
     }
 }
@@ -110,7 +110,7 @@ fn the_network_is_what_its_definition_says() {
             .collect();
     }
     let expected = -2.25 + 5.25 * h[0].tanh();
-    assert!((driven_mps2(&policy, &seen) - expected).abs() < 1e-5);
+    assert!((first_acceleration_mps2(&policy, &seen) - expected).abs() < 1e-5);
 }
 
 #[test]

@@ -3,17 +3,17 @@
 //! Needs Unix, and the feature `process`: elsewhere no program starts.
 
 #[cfg(not(all(unix, feature = "process")))]
-mod elsewhere;
+mod unsupported;
 #[cfg(all(unix, feature = "process"))]
-mod last_words;
+mod stderr_tail;
 mod problem;
 pub(crate) mod protocol;
 #[cfg(all(unix, feature = "process"))]
 mod unix;
 
 #[cfg(not(all(unix, feature = "process")))]
-pub(crate) use elsewhere::Program;
-pub(crate) use problem::shortened;
+pub(crate) use unsupported::Program;
+pub(crate) use problem::escaped_excerpt;
 pub use problem::{ProcessFailure, ProcessProblem};
 #[cfg(all(unix, feature = "process"))]
-pub(crate) use unix::Program;
+pub(crate) use unix::ChildProcess;

@@ -5,10 +5,10 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::protocol::VERSION;
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 
 /// Most characters that are told of a text of somebody else.
-pub(super) const MOST_CHARACTERS: usize = 300;
+pub(super) const MAX_CHARACTERS: usize = 300;
 
 /// What is wrong with a process that should drive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
@@ -33,7 +33,8 @@ pub enum ProcessProblem {
     Closed,
     /// No answer came in time.
     #[error("gave no answer within {limit_s} s")]
-    Late {
+    #[serde(rename = "late")]
+    Timeout {
         /// The time it had, in seconds.
         limit_s: f64,
     },
@@ -45,7 +46,8 @@ pub enum ProcessProblem {
     },
     /// It wrote before it was asked, or more than one line.
     #[error("answered question {found} where it was asked question {asked}")]
-    OtherQuestion {
+    #[serde(rename = "other_question")]
+    WrongRequestId {
         /// The question's number in its answer.
         found: u64,
         /// The number it was asked.
@@ -75,7 +77,8 @@ pub enum ProcessProblem {
     },
     /// It did not answer as the protocol says.
     #[error("answered `{found}`, which is no answer: {reason}")]
-    NoAnswer {
+    #[serde(rename = "no_answer")]
+    InvalidReply {
         /// The beginning of what it said.
         found: String,
         /// What is wrong with it.
@@ -112,7 +115,8 @@ pub enum ProcessProblem {
     },
     /// It says that it is not deterministic, and its controller file does not.
     #[error("says that it is not deterministic: its controller file has to say `deterministic = false`, too")]
-    Undeclared,
+    #[serde(rename = "undeclared")]
+    UndeclaredNondeterminism,
     /// It decides at instants that are not the scenario's.
     #[error("decides every {interval_s} s, which is not {wanted}")]
     Interval {
@@ -123,7 +127,8 @@ pub enum ProcessProblem {
     },
     /// One process of a command says something else than another did.
     #[error("introduced itself otherwise before")]
-    Changed,
+    #[serde(rename = "changed")]
+    HandshakeChanged,
     /// A file that its identity stands for is another one now.
     #[error("cannot be started again: {file} has changed since it was read")]
     FileChanged {
@@ -147,7 +152,8 @@ pub struct ProcessFailure {
     /// What is wrong.
     pub problem: ProcessProblem,
     /// The last lines of its standard error since the run began, the latest last.
-    pub last_words: Vec<String>,
+    #[serde(rename = "last_words")]
+    pub stderr_tail: Vec<String>,
 }
 
 impl std::error::Error for ProcessFailure {}
@@ -155,16 +161,16 @@ impl std::error::Error for ProcessFailure {}
 impl fmt::Display for ProcessFailure {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "`{}` {}", self.controller, self.problem)?;
-        if self.last_words.is_empty() {
+        if self.stderr_tail.is_empty() {
             return Ok(());
         }
-        write!(out, "; it said last: {}", self.last_words.join(" | "))
+        write!(out, "; it said last: {}", self.stderr_tail.join(" | "))
     }
 }
 
 /// The beginning of a text of somebody else, in which every character shows as itself.
-pub(crate) fn shortened(text: &str) -> String {
-    let begin: String = text.chars().take(MOST_CHARACTERS).collect();
+pub(crate) fn escaped_excerpt(text: &str) -> String {
+    let begin: String = text.chars().take(MAX_CHARACTERS).collect();
     let rest = if begin.len() < text.len() { "…" } else { "" };
-    format!("{}{rest}", Terminal(begin.trim_end()))
+    format!("{}{rest}", TerminalText(begin.trim_end()))
 }

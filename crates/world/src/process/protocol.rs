@@ -3,22 +3,22 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{ProcessProblem, shortened};
+use super::{ProcessProblem, escaped_excerpt};
 
 /// The version that this release speaks.
 pub(crate) const VERSION: u64 = 1;
 
 /// What a process is told first.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Hello<'a> {
+pub(crate) struct HelloRequest<'a> {
     pub(crate) crumple: u64,
-    pub(crate) hello: Task<'a>,
+    pub(crate) hello: HelloParams<'a>,
 }
 
 /// What it is to do.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Task<'a> {
-    pub(crate) vehicle: Vehicle,
+pub(crate) struct HelloParams<'a> {
+    pub(crate) vehicle: VehicleParams,
     pub(crate) step_s: f64,
     pub(crate) inputs: Vec<&'a str>,
     pub(crate) history: usize,
@@ -30,7 +30,7 @@ pub(crate) struct Task<'a> {
 
 /// The vehicle that it drives.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Vehicle {
+pub(crate) struct VehicleParams {
     pub(crate) index: usize,
     pub(crate) max_brake_mps2: f64,
     pub(crate) max_accel_mps2: f64,
@@ -40,7 +40,7 @@ pub(crate) struct Vehicle {
 /// What it says to that.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Greeting {
+pub(crate) struct HelloReply {
     #[serde(rename = "crumple")]
     _version: u64,
     pub(crate) name: String,
@@ -56,48 +56,50 @@ pub(crate) struct Greeting {
 
 /// A run begins. Each question has a number of its own, which its answer repeats: what was said too much or too late is known by it.
 #[derive(Serialize)]
-pub(crate) struct Reset {
+pub(crate) struct ResetRequest {
     pub(crate) id: u64,
-    pub(crate) reset: Seed,
+    pub(crate) reset: ResetParams,
 }
 
 #[derive(Serialize)]
-pub(crate) struct Seed {
+pub(crate) struct ResetParams {
     pub(crate) seed: u64,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Ready {
+pub(crate) struct ResetReply {
     id: u64,
     ready: bool,
 }
 
 /// A decision is due.
 #[derive(Serialize)]
-pub(crate) struct Ask<'a> {
+pub(crate) struct DecisionRequest<'a> {
     pub(crate) id: u64,
     pub(crate) time_s: f64,
-    pub(crate) see: &'a [f64],
+    #[serde(rename = "see")]
+    pub(crate) inputs: &'a [f64],
 }
 
 /// Decisions of several runs are due.
 #[derive(Serialize)]
-pub(crate) struct AskAll<'a> {
+pub(crate) struct BatchDecisionRequest<'a> {
     pub(crate) id: u64,
     pub(crate) times_s: &'a [f64],
-    pub(crate) see: Vec<&'a [f64]>,
+    #[serde(rename = "see")]
+    pub(crate) inputs: Vec<&'a [f64]>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Answer<T> {
+struct DecisionReply<T> {
     id: u64,
     acceleration_mps2: T,
 }
 
 /// A line of the protocol.
-pub(crate) fn line(into: &mut Vec<u8>, message: &impl Serialize) -> Result<(), ProcessProblem> {
+pub(crate) fn write_line(into: &mut Vec<u8>, message: &impl Serialize) -> Result<(), ProcessProblem> {
     into.clear();
     // Numbers and texts alone: nothing that JSON lacks.
     serde_json::to_writer(&mut *into, message)
@@ -107,37 +109,37 @@ pub(crate) fn line(into: &mut Vec<u8>, message: &impl Serialize) -> Result<(), P
 }
 
 /// What a process says of itself.
-pub(crate) fn greeting(line: &[u8]) -> Result<Greeting, ProcessProblem> {
+pub(crate) fn parse_hello_reply(line: &[u8]) -> Result<HelloReply, ProcessProblem> {
     #[derive(Deserialize)]
     struct Version {
         crumple: serde_json::Value,
     }
-    let Version { crumple: found } = read(line)?;
+    let Version { crumple: found } = parse_message(line)?;
     if found != VERSION {
-        return Err(ProcessProblem::Version { found: shortened(&found.to_string()) });
+        return Err(ProcessProblem::Version { found: escaped_excerpt(&found.to_string()) });
     }
-    let greeting: Greeting = read(line)?;
-    Ok(Greeting { name: shortened(&greeting.name), ..greeting })
+    let greeting: HelloReply = parse_message(line)?;
+    Ok(HelloReply { name: escaped_excerpt(&greeting.name), ..greeting })
 }
 
 /// That it is ready for a run, in answer to the question of a number.
-pub(crate) fn ready(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
-    let Ready { id, ready } = read(line)?;
-    is_to(id, asked)?;
-    if ready { Ok(()) } else { Err(no_answer(line, "it is not ready")) }
+pub(crate) fn parse_reset_reply(line: &[u8], asked: u64) -> Result<(), ProcessProblem> {
+    let ResetReply { id, ready } = parse_message(line)?;
+    check_id(id, asked)?;
+    if ready { Ok(()) } else { Err(invalid_reply(line, "it is not ready")) }
 }
 
 /// One decision, in answer to the question of a number.
-pub(crate) fn decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
-    let Answer { id, acceleration_mps2 } = read(line)?;
-    is_to(id, asked)?;
+pub(crate) fn parse_decision(line: &[u8], asked: u64) -> Result<f64, ProcessProblem> {
+    let DecisionReply { id, acceleration_mps2 } = parse_message(line)?;
+    check_id(id, asked)?;
     Ok(acceleration_mps2)
 }
 
 /// Several decisions, in answer to the question of a number.
-pub(crate) fn decisions(line: &[u8], asked: u64, count: usize) -> Result<Vec<f64>, ProcessProblem> {
-    let Answer::<Vec<f64>> { id, acceleration_mps2: answers } = read(line)?;
-    is_to(id, asked)?;
+pub(crate) fn parse_decisions(line: &[u8], asked: u64, count: usize) -> Result<Vec<f64>, ProcessProblem> {
+    let DecisionReply::<Vec<f64>> { id, acceleration_mps2: answers } = parse_message(line)?;
+    check_id(id, asked)?;
     if answers.len() == count {
         Ok(answers)
     } else {
@@ -145,14 +147,14 @@ pub(crate) fn decisions(line: &[u8], asked: u64, count: usize) -> Result<Vec<f64
     }
 }
 
-fn is_to(found: u64, asked: u64) -> Result<(), ProcessProblem> {
-    if found == asked { Ok(()) } else { Err(ProcessProblem::OtherQuestion { found, asked }) }
+fn check_id(found: u64, asked: u64) -> Result<(), ProcessProblem> {
+    if found == asked { Ok(()) } else { Err(ProcessProblem::WrongRequestId { found, asked }) }
 }
 
-fn read<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
+fn parse_message<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
     // Serde would take a list for a structure.
     if line.trim_ascii_start().first() != Some(&b'{') {
-        return Err(no_answer(line, "a line is a JSON object"));
+        return Err(invalid_reply(line, "a line is a JSON object"));
     }
     serde_json::from_slice(line).map_err(|error| {
         // Python and others write these, and JSON has no word for them.
@@ -162,13 +164,13 @@ fn read<T: DeserializeOwned>(line: &[u8]) -> Result<T, ProcessProblem> {
         if is_decision && (is_not_finite || error.to_string().starts_with("number out of range")) {
             ProcessProblem::NotFinite
         } else {
-            no_answer(line, &error.to_string())
+            invalid_reply(line, &error.to_string())
         }
     })
 }
 
-fn no_answer(line: &[u8], reason: &str) -> ProcessProblem {
-    ProcessProblem::NoAnswer { found: shortened(String::from_utf8_lossy(line).trim_end()), reason: shortened(reason) }
+fn invalid_reply(line: &[u8], reason: &str) -> ProcessProblem {
+    ProcessProblem::InvalidReply { found: escaped_excerpt(String::from_utf8_lossy(line).trim_end()), reason: escaped_excerpt(reason) }
 }
 
 #[cfg(test)]

@@ -3,22 +3,22 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::scenario::{InvalidField, short};
+use crate::scenario::{InvalidField, format_compact};
 
 /// Something in a recording that is not in the scenarios made from it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Dropped {
+pub struct DroppedItem {
     /// The recording.
     pub path: PathBuf,
     /// Line it was first seen on, from 1.
     pub line: u64,
     /// What was dropped.
-    pub what: Omission,
+    pub omission: Omission,
 }
 
-impl fmt::Display for Dropped {
+impl fmt::Display for DroppedItem {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}:{}: {}", self.path.display(), self.line, self.what)
+        write!(out, "{}:{}: {}", self.path.display(), self.line, self.omission)
     }
 }
 
@@ -34,7 +34,7 @@ pub enum Omission {
         /// Last vehicle missing.
         last: usize,
         /// Where in the platoon they were.
-        place: Place,
+        place: PlatoonPosition,
     },
     /// Two neighbours without a spacing column between them.
     #[error("{column}: no such column, so the platoon is split between vehicles {ahead} and {behind}")]
@@ -72,7 +72,7 @@ pub enum Omission {
     #[error(
         "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, \
          the worst {} m",
-        short(*worst_m)
+        format_compact(*worst_m)
     )]
     ImpossibleSpacings {
         /// Name of the column.
@@ -88,7 +88,7 @@ pub enum Omission {
     #[error(
         "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, \
          the worst {} m",
-        short(*worst_m)
+        format_compact(*worst_m)
     )]
     ImpossibleLengths {
         /// Name of the column.
@@ -104,7 +104,7 @@ pub enum Omission {
     #[error(
         "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, \
          the worst {} m/s",
-        short(*worst_mps)
+        format_compact(*worst_mps)
     )]
     ImpossibleSpeeds {
         /// Name of the column.
@@ -121,7 +121,7 @@ pub enum Omission {
         "{column}: {count} rows are not later than the row before and were left out, the first one here \
          ({found_s} s after {before_s} s)"
     )]
-    NotLater {
+    NonIncreasingTime {
         /// Name of the time column.
         column: String,
         /// How many rows.
@@ -133,7 +133,7 @@ pub enum Omission {
     },
     /// Rows of one vehicle at one time.
     #[error("vehicle {vehicle} is in two places at once here; of {count} such rows each first one is kept")]
-    Twice {
+    DuplicateRows {
         /// The vehicle.
         vehicle: u32,
         /// How many rows were left out.
@@ -151,7 +151,7 @@ pub enum Omission {
     #[error(
         "{count} times the position or the length of a vehicle is not known, the first time here: nobody follows it, or anybody beyond it, then"
     )]
-    Unplaced {
+    UnknownPosition {
         /// How often.
         count: usize,
     },
@@ -167,7 +167,7 @@ pub enum Omission {
     #[error(
         "{column}: differs from {difference} in {count} rows, the first one here \
          (by {} m/s); their speeds were left out",
-        fixed(*first_error_mps, 3)
+        format_fixed(*first_error_mps, 3)
     )]
     SpeedsContradict {
         /// Name of the column of relative speeds.
@@ -180,20 +180,20 @@ pub enum Omission {
         first_error_mps: f64,
     },
     /// A braking episode that makes no scenario.
-    #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {why}")]
+    #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {reason}")]
     Episode {
         /// Number of the braking vehicle in the recording.
         number: usize,
         /// When it starts to brake, in seconds of the recording.
         onset_s: f64,
         /// Why there is no scenario.
-        why: NoScenario,
+        reason: EpisodeProblem,
     },
 }
 
 /// Where in a platoon vehicles are missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub enum PlatoonPosition {
     /// Ahead of the first recorded vehicle.
     Front,
     /// Between two recorded vehicles.
@@ -203,26 +203,26 @@ pub enum Place {
 }
 
 /// A number of ordinary size to so many decimals.
-fn fixed(number: f64, decimals: usize) -> String {
-    if number.abs() < 1e9 { format!("{number:.decimals$}") } else { short(number) }
+fn format_fixed(number: f64, decimals: usize) -> String {
+    if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
 }
 
 fn have_no(first: &usize, last: &usize) -> String {
     if first == last { format!("vehicle {first} has no") } else { format!("vehicles {first} to {last} have no") }
 }
 
-fn consequence(place: &Place) -> &'static str {
+fn consequence(place: &PlatoonPosition) -> &'static str {
     match place {
-        Place::Front => "the platoon starts behind",
-        Place::Middle => "the platoon is split there, for the spacing across is unknown",
-        Place::Rear => "the platoon ends before",
+        PlatoonPosition::Front => "the platoon starts behind",
+        PlatoonPosition::Middle => "the platoon is split there, for the spacing across is unknown",
+        PlatoonPosition::Rear => "the platoon ends before",
     }
 }
 
 /// Why a braking episode makes no scenario.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum NoScenario {
+pub enum EpisodeProblem {
     /// At no time shortly before braking are speed and gap of the next vehicle known.
     #[error("speed of and gap to vehicle {follower} are never both recorded in the {within_s} s before")]
     NoFollower {
@@ -233,13 +233,13 @@ pub enum NoScenario {
     },
     /// At no time shortly before braking is anybody known behind.
     #[error("nobody is recorded behind it in the {within_s} s before")]
-    NobodyBehind {
+    NoVehicleBehind {
         /// The time searched, in seconds.
         within_s: f64,
     },
     /// The recorded speed changes faster than any road vehicle can.
-    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle does", fixed(*found_mps2, 1))]
-    Jump {
+    #[error("its speed changes by {} m/s² at {at_s} s, which no road vehicle does", format_fixed(*found_mps2, 1))]
+    SpeedJump {
         /// When, in seconds of the recording.
         at_s: f64,
         /// The change, in m/s², negative when slowing.

@@ -4,12 +4,12 @@ use std::fmt::Write as _;
 
 use crate::control::{AebSettings, ControllerSpec};
 use crate::scenario::{
-    Driver, Environment, InvalidField, LeadProfile, Recorded, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
+    Driver, Environment, InvalidField, LeadProfile, RecordedSpeeds, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
     VehicleClass, VehicleSpec,
 };
 
-use super::leads::Ahead;
-use super::series::rounded;
+use super::lead_vehicles::VehicleAhead;
+use super::series::round_to_milli;
 
 /// Length of a recorded car, in metres. The class's 2 m is the paper's; the recorded drivers drove passenger cars.
 /// Distance of antennas less bumper spacing is 4.5 m on average over the twelve pairs of the published files tried.
@@ -19,7 +19,7 @@ const STEPS_PER_S: f64 = 100.0;
 
 /// A leader's braking with the followers' start. Times count from the start of the scenario unless said otherwise.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Episode {
+pub struct BrakingEpisode {
     /// The event it was recorded in, where the file names events; see `Platoon::event`.
     pub event: Option<String>,
     /// Line of the file that holds the start, from 1.
@@ -43,9 +43,9 @@ pub struct Episode {
     /// Hardest acceleration between two samples, in m/s².
     pub hardest_accel_mps2: f64,
     /// The line at the start, front to rear, the leader first.
-    pub vehicles: Vec<Placed>,
+    pub vehicles: Vec<EpisodeVehicle>,
     /// The vehicle ahead of the leader, which is no part of the scenario.
-    pub ahead: Ahead,
+    pub ahead: VehicleAhead,
     /// Number of the vehicle behind the last, if there was one whose gap or speed was not recorded at the start.
     pub not_recorded_behind: Option<usize>,
     /// Time of each of the leader's samples, in seconds, to the millisecond.
@@ -56,7 +56,7 @@ pub struct Episode {
 
 /// A vehicle at the start of an episode.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Placed {
+pub struct EpisodeVehicle {
     /// Its number in the recording.
     pub number: usize,
     /// Its make or role, where the recording says so.
@@ -69,7 +69,7 @@ pub struct Placed {
     pub length_m: Option<f64>,
 }
 
-impl Episode {
+impl BrakingEpisode {
     /// The scenario: the leader drives as recorded, the others start as recorded and are then driven.
     ///
     /// The last of three or more vehicles keeps the baseline ADAS, so that those under test have a vehicle behind them
@@ -86,30 +86,30 @@ impl Episode {
         let mut vehicles = Vec::with_capacity(self.vehicles.len());
         for (index, placed) in self.vehicles.iter().enumerate().rev() {
             let driver = match index {
-                0 => self.lead(),
+                0 => self.lead_driver(),
                 _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
                 _ => Driver::UnderTest,
             };
             let length_m = placed.length_m.unwrap_or(CAR_LENGTH_M);
-            let class = VehicleClass::of_length(length_m);
+            let class = VehicleClass::from_length(length_m);
             let mut vehicle = VehicleSpec::new(class, position_m, placed.speed_mps, driver);
             vehicle.length_m = Some(length_m);
             vehicles.push(vehicle);
             let ahead = index.checked_sub(1).and_then(|ahead| self.vehicles.get(ahead));
             let ahead_m = ahead.and_then(|ahead| ahead.length_m).unwrap_or(CAR_LENGTH_M);
-            position_m = rounded(position_m + placed.gap_ahead_m + ahead_m);
+            position_m = round_to_milli(position_m + placed.gap_ahead_m + ahead_m);
         }
         vehicles.reverse();
         if let Some(leader) = vehicles.first_mut() {
-            leader.max_brake_mps2 = raised(leader.max_brake_mps2(), self.hardest_brake_mps2);
-            leader.max_accel_mps2 = raised(leader.max_accel_mps2(), self.hardest_accel_mps2);
+            leader.max_brake_mps2 = raise_limit(leader.max_brake_mps2(), self.hardest_brake_mps2);
+            leader.max_accel_mps2 = raise_limit(leader.max_accel_mps2(), self.hardest_accel_mps2);
         }
         Scenario::new(ScenarioSpec {
             version: SCENARIO_VERSION,
             name,
             about: self.about(file),
             // A quotient, not a multiple of the step, which would not round to what a file shows.
-            duration_s: (rounded(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S,
+            duration_s: (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S,
             step_s: 1.0 / STEPS_PER_S,
             seed: 0,
             environment: Environment::default(),
@@ -118,15 +118,15 @@ impl Episode {
         })
     }
 
-    fn lead(&self) -> Driver {
-        let recorded = Recorded { time_s: self.time_s.clone(), speed_mps: self.speed_mps.clone() };
+    fn lead_driver(&self) -> Driver {
+        let recorded = RecordedSpeeds { time_s: self.time_s.clone(), speed_mps: self.speed_mps.clone() };
         Driver::Profile(LeadProfile::Recorded(recorded))
     }
 
     /// What happened, and what of it the scenario does not show.
     fn about(&self, file: &str) -> String {
         let event = self.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
-        let leader = self.vehicles.first().map(Placed::to_string).unwrap_or_default();
+        let leader = self.vehicles.first().map(EpisodeVehicle::to_string).unwrap_or_default();
         let mut about = format!(
             "Recorded in {file}{event}, from {:.1} s on (line {}): {leader} slows from {:.1} to {:.1} m/s within {:.1} s, \
              by {:.2} m/s in its hardest second.",
@@ -137,15 +137,15 @@ impl Episode {
             self.braking_end_s - self.onset_s,
             self.largest_drop_mps,
         );
-        let followers: Vec<_> = self.vehicles.iter().skip(1).map(Placed::to_string).collect();
+        let followers: Vec<_> = self.vehicles.iter().skip(1).map(EpisodeVehicle::to_string).collect();
         let verb = if followers.len() == 1 { "starts" } else { "start" };
         let gaps = if followers.len() == 1 { "gap and speed" } else { "gaps and speeds" };
         // Writing to a String cannot fail.
         let _ = write!(about, " Behind it {verb} {} at the recorded {gaps}.", followers.join(", "));
         let _ = match self.ahead {
-            Ahead::Nobody => Ok(()),
-            Ahead::Recorded(number) => write!(about, " Vehicle {number}, ahead of it, is no part of the scenario."),
-            Ahead::NotRecorded(number) => {
+            VehicleAhead::None => Ok(()),
+            VehicleAhead::Recorded(number) => write!(about, " Vehicle {number}, ahead of it, is no part of the scenario."),
+            VehicleAhead::NotRecorded(number) => {
                 write!(about, " Vehicle {number}, ahead of it, was not recorded at the time.")
             }
         };
@@ -161,7 +161,7 @@ impl Episode {
     }
 }
 
-impl std::fmt::Display for Placed {
+impl std::fmt::Display for EpisodeVehicle {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.name {
             Some(name) => write!(out, "vehicle {} ({name})", self.number),
@@ -171,6 +171,6 @@ impl std::fmt::Display for Placed {
 }
 
 /// A limit to the next tenth above what was recorded, if that is beyond the class.
-fn raised(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
-    (recorded_mps2 > class_mps2).then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1).map(rounded)
+fn raise_limit(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
+    (recorded_mps2 > class_mps2).then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1).map(round_to_milli)
 }

@@ -2,17 +2,17 @@
 
 use std::cmp::Reverse;
 
-use super::dropped::{Dropped, NoScenario, Omission};
-use super::episode::Episode;
+use super::dropped::{DroppedItem, EpisodeProblem, Omission};
+use super::episode::BrakingEpisode;
 use super::error::RecordingError;
-use super::leads::{Ahead, Lead};
-use super::motion::{Braking, Sample, brakings, speed_at_mps};
-use super::{HARDEST_CHANGE_MPS2, Recording};
+use super::lead_vehicles::{VehicleAhead, LeadVehicle};
+use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
+use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
 
 /// A scenario starts about this long before braking does, so that sensors and filters have settled, in milliseconds.
 const LEAD_IN_MS: i64 = 1_000;
 /// A start is looked for within this long before braking, in milliseconds.
-const START_WITHIN_MS: i64 = 2_000;
+const START_SEARCH_MS: i64 = 2_000;
 /// A scenario lasts this long beyond the end of braking, unless the leader brakes anew before, in milliseconds. A
 /// brake wave passes from car to car in about a second, and the last of them still has to stop.
 const TAIL_MS: i64 = 10_000;
@@ -32,7 +32,7 @@ impl MinBrake {
     /// # Errors
     /// [`RecordingError::MinBrake`] unless it is above 0 and at most 12 m/s², which no road vehicle exceeds.
     pub fn new(mps2: f64) -> Result<Self, RecordingError> {
-        let possible = mps2 > 0.0 && mps2 <= HARDEST_CHANGE_MPS2;
+        let possible = mps2 > 0.0 && mps2 <= MAX_PLAUSIBLE_ACCEL_MPS2;
         if possible { Ok(Self(mps2)) } else { Err(RecordingError::MinBrake { found: mps2 }) }
     }
 
@@ -53,14 +53,14 @@ impl Default for MinBrake {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FoundEpisodes {
     /// Episodes in the order of the file.
-    pub episodes: Vec<Episode>,
+    pub episodes: Vec<BrakingEpisode>,
     /// Episodes no scenario can be made of.
-    pub dropped: Vec<Dropped>,
+    pub dropped: Vec<DroppedItem>,
 }
 
 /// Which vehicles make episodes when they brake.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Leaders {
+pub enum LeaderSelection {
     /// Every vehicle with another behind it.
     #[default]
     Any,
@@ -75,79 +75,79 @@ pub enum Leaders {
 /// followers has known speeds and gaps, and ends 10 s after braking or when that vehicle's next episode begins.
 ///
 /// The vehicle that brakes leads the scenario, with those behind it: a wave of braking that grows from car to car makes an
-/// episode at each of them, the last ones the hardest. With [`Leaders::First`] only a vehicle leads that had none recorded
+/// episode at each of them, the last ones the hardest. With [`LeaderSelection::First`] only a vehicle leads that had none recorded
 /// ahead of it at the time.
 #[must_use]
-pub fn episodes(recording: &Recording, min_brake: MinBrake, leaders: Leaders) -> FoundEpisodes {
+pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: LeaderSelection) -> FoundEpisodes {
     let mut found = FoundEpisodes::default();
-    for lead in recording.leads() {
-        for run in lead.runs() {
-            let brakings = brakings(&run, min_brake.mps2());
+    for lead in recording.lead_vehicles() {
+        for run in lead.segments() {
+            let brakings = find_brakings(&run, min_brake.mps2());
             let next_onsets = brakings.iter().skip(1).map(|next| Some(next.onset_ms)).chain([None]);
             for (braking, next_onset_ms) in brakings.iter().zip(next_onsets) {
-                let window = Window { lead: &*lead, run: &run, braking, next_onset_ms };
-                window.find(recording, leaders, &mut found);
+                let window = EpisodeWindow { lead: &*lead, run: &run, braking, next_onset_ms };
+                window.extract(recording, leaders, &mut found);
             }
         }
     }
-    let start = |episode: &Episode| episode.line;
+    let start = |episode: &BrakingEpisode| episode.line;
     found.episodes.sort_by_key(start);
     found
 }
 
 /// One braking and what surrounds it.
-struct Window<'a> {
-    lead: &'a dyn Lead,
-    run: &'a [Sample],
-    braking: &'a Braking,
+struct EpisodeWindow<'a> {
+    lead: &'a dyn LeadVehicle,
+    run: &'a [SpeedSample],
+    braking: &'a BrakingEvent,
     next_onset_ms: Option<i64>,
 }
 
-impl Window<'_> {
-    fn find(&self, recording: &Recording, leaders: Leaders, found: &mut FoundEpisodes) {
-        let candidates = self.between(self.braking.onset_ms - START_WITHIN_MS, self.braking.onset_ms);
-        let follows = |sample: &Sample| matches!(self.lead.ahead_at(sample), Ahead::Recorded(_));
-        if leaders == Leaders::First && candidates.iter().any(follows) {
+impl EpisodeWindow<'_> {
+    fn extract(&self, recording: &Recording, leaders: LeaderSelection, found: &mut FoundEpisodes) {
+        let candidates = self.samples_between(self.braking.onset_ms - START_SEARCH_MS, self.braking.onset_ms);
+        let follows = |sample: &SpeedSample| matches!(self.lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
+        if leaders == LeaderSelection::First && candidates.iter().any(follows) {
             return;
         }
-        let nearness_ms = |sample: &Sample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
-        let rank = |sample: &&Sample| (self.lead.followers_at(sample).len(), Reverse(nearness_ms(sample)));
+        let nearness_ms = |sample: &SpeedSample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
+        let rank = |sample: &&SpeedSample| (self.lead.followers_at(sample).len(), Reverse(nearness_ms(sample)));
         let Some(start) = candidates.iter().max_by_key(rank) else { return };
-        match self.episode(start) {
+        match self.build_episode(start) {
             Ok(episode) => found.episodes.push(episode),
             Err(why) => {
-                let (number, onset_s) = (self.lead.placed(0.0).number, self.braking.onset_ms as f64 / 1000.0);
-                let what = Omission::Episode { number, onset_s, why };
-                found.dropped.push(Dropped { path: recording.path.clone(), line: self.lead.line_of(start), what });
+                let (number, onset_s) = (self.lead.episode_vehicle(0.0).number, self.braking.onset_ms as f64 / 1000.0);
+                let what = Omission::Episode { number, onset_s, reason: why };
+                found.dropped.push(DroppedItem { path: recording.path.clone(), line: self.lead.line_of(start), omission: what });
             }
         }
     }
 
     /// The samples of the run from one time to another, both included.
-    fn between(&self, from_ms: i64, to_ms: i64) -> &[Sample] {
+    fn samples_between(&self, from_ms: i64, to_ms: i64) -> &[SpeedSample] {
         let from = self.run.partition_point(|sample| sample.time_ms < from_ms);
         let to = self.run.partition_point(|sample| sample.time_ms <= to_ms);
         self.run.get(from..to).unwrap_or_default()
     }
 
-    fn episode(&self, start: &Sample) -> Result<Episode, NoScenario> {
+    fn build_episode(&self, start: &SpeedSample) -> Result<BrakingEpisode, EpisodeProblem> {
         let followers = self.lead.followers_at(start);
         if followers.is_empty() {
-            let within_s = START_WITHIN_MS as f64 / 1000.0;
+            let within_s = START_SEARCH_MS as f64 / 1000.0;
             return Err(match self.lead.next_behind(0) {
-                Some(follower) => NoScenario::NoFollower { follower, within_s },
-                None => NoScenario::NobodyBehind { within_s },
+                Some(follower) => EpisodeProblem::NoFollower { follower, within_s },
+                None => EpisodeProblem::NoVehicleBehind { within_s },
             });
         }
         let end_ms = (self.braking.end_ms + TAIL_MS).min(self.next_onset_ms.unwrap_or(i64::MAX));
-        let samples = self.between(start.time_ms, end_ms);
+        let samples = self.samples_between(start.time_ms, end_ms);
         let mut hardest_brake_mps2: f64 = 0.0;
         let mut hardest_accel_mps2: f64 = 0.0;
         for pair in samples.windows(2) {
             if let [a, b] = pair {
                 let found_mps2 = 1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
-                if found_mps2.abs() > HARDEST_CHANGE_MPS2 {
-                    return Err(NoScenario::Jump { at_s: b.time_ms as f64 / 1000.0, found_mps2 });
+                if found_mps2.abs() > MAX_PLAUSIBLE_ACCEL_MPS2 {
+                    return Err(EpisodeProblem::SpeedJump { at_s: b.time_ms as f64 / 1000.0, found_mps2 });
                 }
                 hardest_brake_mps2 = hardest_brake_mps2.max(-found_mps2);
                 hardest_accel_mps2 = hardest_accel_mps2.max(found_mps2);
@@ -155,7 +155,7 @@ impl Window<'_> {
         }
         let since_start_s = |time_ms: i64| (time_ms - start.time_ms) as f64 / 1000.0;
         let not_recorded_behind = self.lead.next_behind(followers.len());
-        Ok(Episode {
+        Ok(BrakingEpisode {
             event: self.lead.event().map(str::to_owned),
             line: self.lead.line_of(start),
             start_s: start.time_ms as f64 / 1000.0,
@@ -167,8 +167,8 @@ impl Window<'_> {
             largest_drop_mps: self.braking.largest_drop_mps,
             hardest_brake_mps2,
             hardest_accel_mps2,
-            vehicles: [vec![self.lead.placed(start.speed_mps)], followers].concat(),
-            ahead: self.lead.ahead_at(start),
+            vehicles: [vec![self.lead.episode_vehicle(start.speed_mps)], followers].concat(),
+            ahead: self.lead.vehicle_ahead_at(start),
             not_recorded_behind,
             time_s: samples.iter().map(|sample| since_start_s(sample.time_ms)).collect(),
             speed_mps: samples.iter().map(|sample| sample.speed_mps).collect(),

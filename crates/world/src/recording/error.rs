@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::scenario::{file::FileError, short};
+use crate::scenario::{file::FileError, format_compact};
 
 /// Why a recording could not be read. What could be read in part is no error: see [`super::Dropped`].
 #[derive(Debug, thiserror::Error)]
@@ -110,7 +110,7 @@ pub enum RecordingError {
     #[error(transparent)]
     Map(Box<FileError>),
     /// A threshold no episode could be found with.
-    #[error("min_brake_mps2: must be above 0 and at most {limit}, found {found}", limit = super::HARDEST_CHANGE_MPS2)]
+    #[error("min_brake_mps2: must be above 0 and at most {limit}, found {found}", limit = super::MAX_PLAUSIBLE_ACCEL_MPS2)]
     MinBrake {
         /// The threshold asked for, in m/s².
         found: f64,
@@ -176,7 +176,7 @@ pub enum ValueProblem {
         last_line: u64,
     },
     /// A time beyond any clock.
-    #[error("must be from -{limit} to {limit}, found {}", short(*found))]
+    #[error("must be from -{limit} to {limit}, found {}", format_compact(*found))]
     OutOfRange {
         /// Largest magnitude allowed.
         limit: f64,

@@ -1,17 +1,17 @@
 //! How much following a recording holds, and which of its episodes belong to one wave of braking.
 
 use super::Recording;
-use super::episode::Episode;
-use super::episodes::Leaders;
-use super::leads::Ahead;
-use super::motion::WITHIN_MS;
+use super::episode::BrakingEpisode;
+use super::episodes::LeaderSelection;
+use super::lead_vehicles::VehicleAhead;
+use super::motion::BRAKING_WINDOW_MS;
 
 /// Brakings that are at most this far apart are of one wave, in seconds: as for phases of one vehicle's braking.
-const SETTLING_S: f64 = 5.0;
+const MERGE_WITHIN_S: f64 = 5.0;
 
 /// Driving in which an episode could have begun.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Followed {
+pub struct FollowingExposure {
     /// Hours for which a vehicle that may lead had so many behind it: the sum over such vehicles.
     pub hours: f64,
     /// Kilometres that the vehicle next behind it drove meanwhile.
@@ -23,18 +23,18 @@ pub struct Followed {
 /// Counted are times between two samples, at most half a second apart, at both of which speeds and gaps are known. The last second of
 /// each unbroken stretch is not: braking is a loss of speed within one second, and none that begins then could have been seen.
 #[must_use]
-pub fn followed(recording: &Recording, leaders: Leaders, followers: usize) -> Followed {
-    let mut sum = Followed::default();
-    for lead in recording.leads() {
-        for run in lead.runs() {
+pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, followers: usize) -> FollowingExposure {
+    let mut sum = FollowingExposure::default();
+    for lead in recording.lead_vehicles() {
+        for run in lead.segments() {
             let speeds: Vec<Option<f64>> = run
                 .iter()
                 .map(|sample| {
-                    let may_lead = leaders == Leaders::Any || !matches!(lead.ahead_at(sample), Ahead::Recorded(_));
+                    let may_lead = leaders == LeaderSelection::Any || !matches!(lead.vehicle_ahead_at(sample), VehicleAhead::Recorded(_));
                     lead.follower_speed_at_mps(sample, followers).filter(|_| may_lead)
                 })
                 .collect();
-            let until_ms = run.last().map_or(0, |last| last.time_ms - WITHIN_MS);
+            let until_ms = run.last().map_or(0, |last| last.time_ms - BRAKING_WINDOW_MS);
             for (samples, speeds) in run.windows(2).zip(speeds.windows(2)) {
                 if let ([from, to], [Some(a), Some(b)]) = (samples, speeds)
                     && to.time_ms <= until_ms
@@ -53,11 +53,11 @@ pub fn followed(recording: &Recording, leaders: Leaders, followers: usize) -> Fo
 ///
 /// Two episodes are of one wave if the leader of one is in the other's line and they brake at most 5 s apart.
 #[must_use]
-pub fn waves(episodes: &[Episode]) -> Vec<u32> {
+pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     let mut wave: Vec<usize> = (0..episodes.len()).collect();
     for (index, episode) in episodes.iter().enumerate() {
         for (before, other) in episodes.iter().enumerate().take(index) {
-            if is_one_wave(episode, other) {
+            if is_same_cluster(episode, other) {
                 let (from, to) = (wave[index].max(wave[before]), wave[index].min(wave[before]));
                 if from != to {
                     wave.iter_mut().filter(|wave| **wave == from).for_each(|wave| *wave = to);
@@ -75,15 +75,15 @@ pub fn waves(episodes: &[Episode]) -> Vec<u32> {
     numbered.collect()
 }
 
-fn is_one_wave(a: &Episode, b: &Episode) -> bool {
-    let braking = |episode: &Episode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
+fn is_same_cluster(a: &BrakingEpisode, b: &BrakingEpisode) -> bool {
+    let braking = |episode: &BrakingEpisode| (episode.start_s + episode.onset_s, episode.start_s + episode.braking_end_s);
     let ((from_a, to_a), (from_b, to_b)) = (braking(a), braking(b));
-    let leads_in = |lead: &Episode, line: &Episode| {
+    let leads_in = |lead: &BrakingEpisode, line: &BrakingEpisode| {
         let number = lead.vehicles.first().map(|leader| leader.number);
         line.vehicles.iter().any(|placed| Some(placed.number) == number)
     };
-    from_a <= to_b + SETTLING_S
-        && from_b <= to_a + SETTLING_S
+    from_a <= to_b + MERGE_WITHIN_S
+        && from_b <= to_a + MERGE_WITHIN_S
         && a.event == b.event
         && (leads_in(a, b) || leads_in(b, a))
 }

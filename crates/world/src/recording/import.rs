@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 
 use crate::scenario::{Scenario, file::to_toml};
 
-use super::dropped::{Dropped, NoScenario, Omission};
-use super::episodes::{Leaders, MinBrake, episodes};
+use super::dropped::{DroppedItem, EpisodeProblem, Omission};
+use super::episodes::{LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
-use super::preview::{Hardest, hardest_braking};
-use super::{Format, Recording, load};
+use super::preview::{HardestBrakingResult, hardest_braking};
+use super::{RecordingFormat, Recording, load};
 
 /// Longest part of a file's name that goes into a scenario's.
-const LONGEST_STEM: usize = 100;
+const MAX_STEM: usize = 100;
 
 /// What to import.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -21,18 +21,18 @@ pub struct ImportOptions {
     /// The least braking that makes an episode.
     pub min_brake: MinBrake,
     /// Whose braking makes one.
-    pub leaders: Leaders,
+    pub leaders: LeaderSelection,
 }
 
 /// The scenarios of a set of recordings, nothing written yet.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Imported {
+pub struct ImportResult {
     /// One scenario an episode, in the order of the recordings. No two have the same name.
     pub scenarios: Vec<ImportedScenario>,
     /// What was read, one entry a recording.
-    pub sources: Vec<Source>,
+    pub sources: Vec<ImportedRecording>,
     /// What was left out, in the order of the recordings.
-    pub dropped: Vec<Dropped>,
+    pub dropped: Vec<DroppedItem>,
 }
 
 /// A scenario and its file.
@@ -48,15 +48,15 @@ pub struct ImportedScenario {
 
 /// What one recording yielded.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Source {
+pub struct ImportedRecording {
     /// The recording.
     pub path: PathBuf,
     /// Its format.
-    pub format: Format,
+    pub format: RecordingFormat,
     /// Scenarios made of it.
     pub scenarios: usize,
     /// The hardest braking in it, whether it made a scenario or not.
-    pub hardest: Hardest,
+    pub hardest: HardestBrakingResult,
 }
 
 /// Reads recordings, by a map if there is one, and renders one scenario file for each braking episode. Writes nothing: a caller that gets a result
@@ -71,25 +71,25 @@ pub fn import(
     paths: &[PathBuf],
     map: Option<&RecordingMap>,
     options: &ImportOptions,
-) -> Result<Imported, RecordingError> {
-    let mut imported = Imported::default();
+) -> Result<ImportResult, RecordingError> {
+    let mut imported = ImportResult::default();
     let mut numbers = BTreeMap::new();
     for path in paths {
         let recording = load(path, map)?;
         let number = numbers.entry(prefix(&recording)).or_insert(0);
-        imported.add(&recording, options, number)?;
+        imported.add_recording(&recording, options, number)?;
     }
     Ok(imported)
 }
 
-impl Imported {
-    fn add(
+impl ImportResult {
+    fn add_recording(
         &mut self,
         recording: &Recording,
         options: &ImportOptions,
         number: &mut usize,
     ) -> Result<(), RecordingError> {
-        let found = episodes(recording, options.min_brake, options.leaders);
+        let found = find_episodes(recording, options.min_brake, options.leaders);
         self.dropped.extend(recording.dropped.iter().cloned().chain(found.dropped));
         let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
         let before = self.scenarios.len();
@@ -107,12 +107,12 @@ impl Imported {
                 Err(invalid) => {
                     let number = episode.vehicles.first().map_or(0, |leader| leader.number);
                     let onset_s = episode.start_s + episode.onset_s;
-                    let what = Omission::Episode { number, onset_s, why: NoScenario::Invalid(invalid) };
-                    self.dropped.push(Dropped { path: recording.path.clone(), line: episode.line, what });
+                    let what = Omission::Episode { number, onset_s, reason: EpisodeProblem::Invalid(invalid) };
+                    self.dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
                 }
             }
         }
-        self.sources.push(Source {
+        self.sources.push(ImportedRecording {
             path: recording.path.clone(),
             format: recording.format.clone(),
             scenarios: self.scenarios.len() - before,
@@ -140,6 +140,6 @@ fn slug(stem: &Path) -> String {
     let lower = stem.to_string_lossy().to_ascii_lowercase();
     let words = lower.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     let mut slug = words.collect::<Vec<_>>().join("-");
-    slug.truncate(LONGEST_STEM);
+    slug.truncate(MAX_STEM);
     slug
 }

@@ -46,7 +46,7 @@ fn read_with(text: &str, by: &str) -> Recording {
 }
 
 /// What makes each scenario: when it starts and how long it lasts, when and how the leader drives, and who starts where.
-fn told(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
+fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
     let found = episodes(recording, MinBrake::default(), Leaders::Any).episodes;
     let mut told: Vec<_> = found
         .into_iter()

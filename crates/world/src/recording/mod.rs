@@ -12,7 +12,7 @@ mod episodes;
 mod error;
 mod exposure;
 mod import;
-mod leads;
+mod lead_vehicles;
 pub mod map;
 #[cfg(test)]
 mod map_tests;
@@ -32,23 +32,23 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-pub use dropped::{Dropped, NoScenario, Omission, Place};
-pub use episode::{CAR_LENGTH_M, Episode, Placed};
-pub use episodes::{FoundEpisodes, Leaders, MinBrake, episodes};
+pub use dropped::{DroppedItem, EpisodeProblem, Omission, PlatoonPosition};
+pub use episode::{CAR_LENGTH_M, BrakingEpisode, EpisodeVehicle};
+pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 pub use error::{ColumnProblem, RecordingError, ValueProblem};
-pub use exposure::{Followed, followed, waves};
-pub use import::{ImportOptions, Imported, ImportedScenario, Source, import};
-pub use leads::Ahead;
+pub use exposure::{FollowingExposure, following_exposure, braking_clusters};
+pub use import::{ImportOptions, ImportResult, ImportedScenario, ImportedRecording, import};
+pub use lead_vehicles::VehicleAhead;
 
-use leads::{InPlatoon, Lead};
-use map::{Delimiter, LayoutSpec, MapSpec, RecordingMap};
-pub use preview::{Hardest, HardestBraking, Preview, SpeedLine, hardest_braking, preview};
-use table::{Row, Table};
-pub use traffic::Traffic;
+use lead_vehicles::{PlatoonLead, LeadVehicle};
+use map::{Delimiter, LayoutSpec, RecordingMapSpec, RecordingMap};
+pub use preview::{HardestBrakingResult, HardestBraking, Preview, SpeedLine, hardest_braking, preview};
+use table::{CsvRow, RowReader};
+pub use traffic::RecordedTraffic;
 
 /// Fastest change of speed that is taken for motion and not for an error of measurement, in m/s²: tyres on a dry road
 /// give little more than 1 g.
-pub const HARDEST_CHANGE_MPS2: f64 = 12.0;
+pub const MAX_PLAUSIBLE_ACCEL_MPS2: f64 = 12.0;
 
 /// A recording: the platoons of one file, and what of the file is not in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,33 +56,33 @@ pub struct Recording {
     /// The file.
     pub path: PathBuf,
     /// Its format.
-    pub format: Format,
+    pub format: RecordingFormat,
     /// Unbroken lines of vehicles, at least two in each.
-    pub platoons: Vec<Platoon>,
+    pub platoons: Vec<RecordedPlatoon>,
     /// Vehicles that come, go and change their places, where the file holds tracks.
-    pub traffic: Option<Traffic>,
+    pub traffic: Option<RecordedTraffic>,
     /// What was dropped while reading.
-    pub dropped: Vec<Dropped>,
+    pub dropped: Vec<DroppedItem>,
 }
 
 impl Recording {
     /// Everybody who may lead, front to rear: whoever has a vehicle behind.
-    fn leads(&self) -> Vec<Box<dyn Lead + '_>> {
+    fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
         let in_platoon = |platoon| {
-            let leads = 0..Platoon::vehicles(platoon).len().saturating_sub(1);
-            leads.map(move |index| Box::new(InPlatoon { platoon, index }) as Box<dyn Lead>)
+            let leads = 0..RecordedPlatoon::vehicles(platoon).len().saturating_sub(1);
+            leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
         };
-        let in_traffic = self.traffic.iter().flat_map(Traffic::leads);
+        let in_traffic = self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles);
         self.platoons.iter().flat_map(in_platoon).chain(in_traffic).collect()
     }
 }
 
 /// The format of a recording, by the name of its map.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Format(String);
+pub struct RecordingFormat(String);
 
-impl Format {
-    fn of(map: &MapSpec) -> Self {
+impl RecordingFormat {
+    fn from_map(map: &RecordingMapSpec) -> Self {
         Self(map.name.clone())
     }
 
@@ -97,15 +97,15 @@ impl Format {
 ///
 /// Speeds and gaps may be missing at any sample, but every list has one entry for each sample.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Platoon {
+pub struct RecordedPlatoon {
     event: Option<String>,
     time_s: Vec<f64>,
     line: Vec<u64>,
-    vehicles: Vec<Vehicle>,
+    vehicles: Vec<RecordedVehicle>,
     gaps_m: Vec<Vec<Option<f64>>>,
 }
 
-impl Platoon {
+impl RecordedPlatoon {
     /// The event it was recorded in, where the file names events; a long name is cut after 40 characters, for display.
     #[must_use]
     pub(crate) fn event(&self) -> Option<&str> {
@@ -126,7 +126,7 @@ impl Platoon {
 
     /// The vehicles, front to rear.
     #[must_use]
-    pub fn vehicles(&self) -> &[Vehicle] {
+    pub fn vehicles(&self) -> &[RecordedVehicle] {
         &self.vehicles
     }
 
@@ -138,7 +138,7 @@ impl Platoon {
     }
 
     /// Gap ahead and speed of vehicle `index` at one sample, if both are known.
-    fn following(&self, index: usize, sample: usize) -> Option<(f64, f64)> {
+    fn gap_and_speed(&self, index: usize, sample: usize) -> Option<(f64, f64)> {
         let gap_m = *self.gap_ahead_m(index).get(sample)?;
         Some((gap_m?, self.vehicles.get(index)?.speed_at_mps(sample)?))
     }
@@ -146,13 +146,13 @@ impl Platoon {
 
 /// A vehicle of a platoon.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Vehicle {
+pub struct RecordedVehicle {
     number: usize,
     name: Option<String>,
     speed_mps: Vec<Option<f64>>,
 }
 
-impl Vehicle {
+impl RecordedVehicle {
     /// Its number in the file, from 1 at the front of the platoon that drove.
     #[must_use]
     pub fn number(&self) -> usize {
@@ -195,7 +195,7 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 /// # Errors
 /// As [`load`].
 pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let mut table = Table::new(from, path, map.map_or(Delimiter::Comma, |map| map.spec().delimiter));
+    let mut table = RowReader::new(from, path, map.map_or(Delimiter::Comma, |map| map.spec().delimiter));
     let Some(first) = table.next_row()?.cloned() else {
         return Err(RecordingError::Empty { path: path.to_owned() });
     };
@@ -214,11 +214,11 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
             &built_in
         }
     };
-    read_by(&mut table, map.spec(), first)
+    read_with_map(&mut table, map.spec(), first)
 }
 
 /// Reads by a map, from the first row on.
-fn read_by<R: Read>(table: &mut Table<'_, R>, map: &MapSpec, first: Row<'_>) -> Result<Recording, RecordingError> {
+fn read_with_map<R: Read>(table: &mut RowReader<'_, R>, map: &RecordingMapSpec, first: CsvRow<'_>) -> Result<Recording, RecordingError> {
     let (mut lines, mut names) = (Vec::new(), first);
     while lines.len() < map.lines_before_names {
         lines.push(names.fields);
@@ -227,7 +227,7 @@ fn read_by<R: Read>(table: &mut Table<'_, R>, map: &MapSpec, first: Row<'_>) -> 
         } else {
             "the names of its columns"
         };
-        let Some(next) = table.next_row()?.cloned() else { return Err(table.cut_short(expected)) };
+        let Some(next) = table.next_row()?.cloned() else { return Err(table.cut_short_error(expected)) };
         names = next;
     }
     match &map.layout {

@@ -3,23 +3,23 @@
 //! Times are whole milliseconds and speeds whole millimetres a second here, as in the files that are written, so that
 //! what was found in the recording is still there in the scenario.
 
-use super::Platoon;
-use super::series::rounded;
+use super::RecordedPlatoon;
+use super::series::round_to_milli;
 
 /// Longest hole between two samples that is bridged by a straight line, in milliseconds. Within half a second a car's
 /// acceleration changes little; beyond it, a whole brake application could hide.
-pub(super) const LONGEST_HOLE_MS: i64 = 500;
+pub(super) const MAX_HOLE_MS: i64 = 500;
 /// Braking is a loss of speed within this time, in milliseconds.
-pub(super) const WITHIN_MS: i64 = 1000;
+pub(super) const BRAKING_WINDOW_MS: i64 = 1000;
 /// Braking phases at most this far apart are one episode, in milliseconds: the followers are still reacting to the
 /// first when the second begins.
-const SETTLING_MS: i64 = 5_000;
+const MERGE_WITHIN_MS: i64 = 5_000;
 /// Clearance to the threshold that keeps rounding errors of a difference from deciding, in m/s.
-const ROUNDING_MPS: f64 = 1e-9;
+const ROUNDING_MARGIN_MPS: f64 = 1e-9;
 
 /// A recorded speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sample {
+pub(super) struct SpeedSample {
     /// Index in the platoon's time base.
     pub(super) index: usize,
     pub(super) time_ms: i64,
@@ -28,7 +28,7 @@ pub(super) struct Sample {
 
 /// Braking phases that belong together.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Braking {
+pub(super) struct BrakingEvent {
     /// Start of the first second over which the speed drops fast enough.
     pub(super) onset_ms: i64,
     /// End of the last such second.
@@ -40,20 +40,20 @@ pub(super) struct Braking {
 }
 
 /// The unbroken stretches of the motion of a platoon's vehicle.
-pub(super) fn runs(platoon: &Platoon, vehicle: usize) -> Vec<Vec<Sample>> {
+pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec<Vec<SpeedSample>> {
     let Some(vehicle) = platoon.vehicles.get(vehicle) else { return Vec::new() };
     let known = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
-    joined(known.filter_map(|(index, (&time_s, &speed_mps))| {
-        Some(Sample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: rounded(speed_mps?) })
+    split_at_holes(known.filter_map(|(index, (&time_s, &speed_mps))| {
+        Some(SpeedSample { index, time_ms: (time_s * 1000.0).round() as i64, speed_mps: round_to_milli(speed_mps?) })
     }))
 }
 
 /// Samples in unbroken stretches: no hole longer than half a second.
-pub(super) fn joined(samples: impl Iterator<Item = Sample>) -> Vec<Vec<Sample>> {
-    let mut runs: Vec<Vec<Sample>> = Vec::new();
+pub(super) fn split_at_holes(samples: impl Iterator<Item = SpeedSample>) -> Vec<Vec<SpeedSample>> {
+    let mut runs: Vec<Vec<SpeedSample>> = Vec::new();
     for sample in samples {
         match runs.last_mut() {
-            Some(run) if run.last().is_some_and(|last| sample.time_ms - last.time_ms <= LONGEST_HOLE_MS) => {
+            Some(run) if run.last().is_some_and(|last| sample.time_ms - last.time_ms <= MAX_HOLE_MS) => {
                 run.push(sample);
             }
             _ => runs.push(vec![sample]),
@@ -63,20 +63,20 @@ pub(super) fn joined(samples: impl Iterator<Item = Sample>) -> Vec<Vec<Sample>> 
 }
 
 /// Where `v(t) - v(t + 1 s)` exceeds the threshold, for t at each sample, in order of time.
-pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
-    let mut found: Vec<Braking> = Vec::new();
+pub(super) fn find_brakings(run: &[SpeedSample], min_brake_mps2: f64) -> Vec<BrakingEvent> {
+    let mut found: Vec<BrakingEvent> = Vec::new();
     let mut ahead = run.windows(2).peekable();
     for sample in run {
-        let end_ms = sample.time_ms + WITHIN_MS;
+        let end_ms = sample.time_ms + BRAKING_WINDOW_MS;
         while ahead.next_if(|pair| matches!(**pair, [_, next] if next.time_ms < end_ms)).is_some() {}
         let Some([before, after]) = ahead.peek().copied() else { break };
         let share = (end_ms - before.time_ms) as f64 / (after.time_ms - before.time_ms) as f64;
         let drop_mps = sample.speed_mps - (before.speed_mps + (after.speed_mps - before.speed_mps) * share);
-        if drop_mps <= min_brake_mps2 + ROUNDING_MPS {
+        if drop_mps <= min_brake_mps2 + ROUNDING_MARGIN_MPS {
             continue;
         }
         match found.last_mut() {
-            Some(last) if sample.time_ms - last.end_ms <= SETTLING_MS => {
+            Some(last) if sample.time_ms - last.end_ms <= MERGE_WITHIN_MS => {
                 last.end_ms = end_ms;
                 if drop_mps > last.largest_drop_mps {
                     (last.largest_drop_mps, last.hardest_ms) = (drop_mps, sample.time_ms);
@@ -84,7 +84,7 @@ pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
             }
             _ => {
                 let hardest_ms = sample.time_ms;
-                found.push(Braking { onset_ms: hardest_ms, end_ms, largest_drop_mps: drop_mps, hardest_ms });
+                found.push(BrakingEvent { onset_ms: hardest_ms, end_ms, largest_drop_mps: drop_mps, hardest_ms });
             }
         }
     }
@@ -92,7 +92,7 @@ pub(super) fn brakings(run: &[Sample], min_brake_mps2: f64) -> Vec<Braking> {
 }
 
 /// Speed at a time within the run, linear between samples, the ends held.
-pub(super) fn speed_at_mps(run: &[Sample], at_ms: i64) -> f64 {
+pub(super) fn speed_at_mps(run: &[SpeedSample], at_ms: i64) -> f64 {
     let next = run.partition_point(|sample| sample.time_ms <= at_ms);
     let before = next.checked_sub(1).and_then(|index| run.get(index));
     match (before, run.get(next)) {

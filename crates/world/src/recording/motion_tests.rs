@@ -8,13 +8,13 @@ use crate::scenario::{Driver, LeadProfile, Recorded};
 
 /// A platoon's motion: the number of its first vehicle, and speeds and gaps of each row, some of them missing.
 #[derive(Debug, Clone)]
-pub(super) struct Motion {
+pub(super) struct PlatoonMotion {
     pub(super) first: usize,
     pub(super) speeds: Vec<Vec<Option<f64>>>,
     pub(super) gaps: Vec<Vec<Option<f64>>>,
 }
 
-pub(super) fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
+pub(super) fn any_motion(share_missing: f64) -> impl Strategy<Value = Motion> {
     let pieces = prop::collection::vec((-8.0..3.0_f64, 1..40_usize), 2..12);
     (1..4_usize, 2..5_usize, pieces).prop_flat_map(move |(first, vehicles, pieces)| {
         let mut speed = 25.0_f64;
@@ -44,7 +44,7 @@ pub(super) fn motion(share_missing: f64) -> impl Strategy<Value = Motion> {
 
 impl Motion {
     /// The text of a file with carriage returns and a blank line, so that samples begin on line 8.
-    pub(super) fn written(&self) -> String {
+    pub(super) fn to_csv(&self) -> String {
         let vehicles = self.speeds[0].len();
         let numbers = self.first..self.first + vehicles;
         let mut text = format!("{HEADER}Time");

@@ -7,35 +7,35 @@ use std::collections::HashMap;
 use std::io::Read;
 use std::{iter, mem};
 
-use super::dropped::{Dropped, Omission};
+use super::dropped::{DroppedItem, Omission};
 use super::error::{RecordingError, ValueProblem};
-use super::map::{MapSpec, PairsSpec, Sign, SpeedSpec};
-use super::series::{Clock, Quantity, Series, bridge};
-use super::table::{Column, Extent, Row, Table, excerpt};
-use super::{Format, Platoon, Recording, Vehicle};
+use super::map::{RecordingMapSpec, PairsSpec, Sign, SpeedSpec};
+use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
+use super::table::{CsvColumn, RowLimiter, CsvRow, RowReader, excerpt};
+use super::{RecordingFormat, RecordedPlatoon, Recording, RecordedVehicle};
 use crumple_core::digest::sha256;
 
 /// Largest difference between the three speeds that is put down to rounding and filtering, in m/s.
-const SPEED_AGREEMENT_MPS: f64 = 0.1;
+const SPEED_TOLERANCE_MPS: f64 = 0.1;
 /// Most events of one file. Each takes about a kilobyte beside its samples, however few those are.
-const MOST_EVENTS: usize = 100_000;
+const MAX_EVENTS: usize = 100_000;
 
 /// Reads what follows the names of the columns.
 pub(super) fn read<R: Read>(
-    table: &mut Table<'_, R>,
-    (map, pairs): (&MapSpec, &PairsSpec),
-    names: &Row<'_>,
+    table: &mut RowReader<'_, R>,
+    (map, pairs): (&RecordingMapSpec, &PairsSpec),
+    names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
-    let mut events = Events::new((map, pairs), names)?;
-    let mut extent = Extent::new(&names.fields, 3);
+    let mut events = EventReader::new((map, pairs), names)?;
+    let mut extent = RowLimiter::new(&names.fields, 3);
     while let Some(row) = table.next_row()? {
-        extent.admit(row)?;
-        events.take(row)?;
+        extent.check_row(row)?;
+        events.read_row(row)?;
     }
     if extent.rows == 0 {
-        return Err(table.cut_short("its first sample"));
+        return Err(table.cut_short_error("its first sample"));
     }
-    let (path, format) = (table.path().to_owned(), Format::of(map));
+    let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
     events.finish_event();
     let mut dropped = Vec::new();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
@@ -47,11 +47,11 @@ pub(super) fn read<R: Read>(
         columns.into_iter().zip(events.interpolated).filter_map(|(name, one)| Some((name, one?)))
     {
         let what = Omission::Interpolated { column: column.to_owned(), count };
-        dropped.push(Dropped { path: path.clone(), line, what });
+        dropped.push(DroppedItem { path: path.clone(), line, omission: what });
     }
     events.clock.report(&mut dropped);
     if let Some((mut first, rows)) = events.contradictions {
-        if let Omission::SpeedsContradict { count, .. } = &mut first.what {
+        if let Omission::SpeedsContradict { count, .. } = &mut first.omission {
             *count = rows;
         }
         dropped.push(first);
@@ -60,11 +60,11 @@ pub(super) fn read<R: Read>(
 }
 
 /// The events read so far, and the one being read.
-struct Events<'m> {
-    spec: (&'m MapSpec, &'m PairsSpec),
-    platoons: Vec<Platoon>,
+struct EventReader<'m> {
+    spec: (&'m RecordingMapSpec, &'m PairsSpec),
+    platoons: Vec<RecordedPlatoon>,
     /// Its column, and the full text: events may differ in their last letter only.
-    column: Option<Column>,
+    column: Option<CsvColumn>,
     event: Option<String>,
     /// Last time and line of each event that is finished, by its hash: names may be long.
     finished: HashMap<String, (f64, u64)>,
@@ -77,32 +77,32 @@ struct Events<'m> {
     leader: Option<Series>,
     followers_mps: Vec<Option<f64>>,
     leaders_mps: Vec<Option<f64>>,
-    contradictions: Option<(Dropped, usize)>,
+    contradictions: Option<(DroppedItem, usize)>,
     /// Of spacings, followers' and leaders' speeds: the first line, and how many were filled.
     interpolated: [Option<(u64, usize)>; 3],
 }
 
-impl<'m> Events<'m> {
-    fn new(spec: (&'m MapSpec, &'m PairsSpec), names: &Row<'_>) -> Result<Self, RecordingError> {
+impl<'m> EventReader<'m> {
+    fn new(spec: (&'m RecordingMapSpec, &'m PairsSpec), names: &CsvRow<'_>) -> Result<Self, RecordingError> {
         let (map, pairs) = spec;
-        let series = |name: &str, factor, quantity| Ok(Series::new(Column::find(names, name, factor)?, quantity));
+        let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
         let speed = |speed: &Option<SpeedSpec>| {
-            speed.as_ref().map(|one| series(&one.column, one.unit.factor(), Quantity::Speed)).transpose()
+            speed.as_ref().map(|one| series(&one.column, one.unit.factor(), ColumnQuantity::Speed)).transpose()
         };
         let relative = pairs.relative_speed.as_ref().map(|one| {
             let sign = if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
-            series(&one.column, sign * one.unit.factor(), Quantity::Signed)
+            series(&one.column, sign * one.unit.factor(), ColumnQuantity::Signed)
         });
         Ok(Self {
             spec,
             platoons: Vec::new(),
-            column: pairs.event.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?,
+            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
             event: None,
             finished: HashMap::new(),
-            clock: Clock::new(Column::of_time(names, &map.time)?),
+            clock: Clock::new(CsvColumn::find_time(names, &map.time)?),
             time_s: Vec::new(),
             line: Vec::new(),
-            gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), Quantity::Gap)?,
+            gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
@@ -113,26 +113,26 @@ impl<'m> Events<'m> {
         })
     }
 
-    fn take(&mut self, row: &Row<'_>) -> Result<(), RecordingError> {
+    fn read_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
         let event = self.column.as_ref().map_or("", |column| row.text(column.index));
         if event.is_empty()
             && let Some(column) = &self.column
         {
-            return row.wrong(&column.name, ValueProblem::Missing);
+            return row.reject(&column.name, ValueProblem::Missing);
         }
         if self.event.as_deref() != Some(event) {
             self.finish_event();
-            if self.platoons.len() >= MOST_EVENTS {
-                return row.too_large(MOST_EVENTS, "events");
+            if self.platoons.len() >= MAX_EVENTS {
+                return row.reject_too_large(MAX_EVENTS, "events");
             }
-            self.check_continues_none(row, event)?;
+            self.check_not_interleaved(row, event)?;
             self.event = Some(event.to_owned());
         }
         let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
-        let gap_m = self.gap.read_less(row, self.spec.1.length_m.unwrap_or(0.0))?;
+        let gap_m = self.gap.read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
         let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
         let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
-        let (follower_mps, leader_mps) = self.agreed(row, speeds);
+        let (follower_mps, leader_mps) = self.reconcile_speeds(row, speeds);
         self.time_s.push(now_s);
         self.line.push(row.line);
         self.gap.values.push(gap_m);
@@ -143,36 +143,36 @@ impl<'m> Events<'m> {
 
     /// Refuses a row that goes on with an event after rows of others. One that begins before the end of an earlier event of that name is
     /// another event.
-    fn check_continues_none(&self, row: &Row<'_>, event: &str) -> Result<(), RecordingError> {
+    fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
         let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
             return Ok(());
         };
         match self.clock.read(row)? > last_s {
-            true => row.wrong(&column.name, ValueProblem::Interleaved { event: excerpt(event), last_line }),
+            true => row.reject(&column.name, ValueProblem::Interleaved { event: excerpt(event), last_line }),
             false => Ok(()),
         }
     }
 
     /// Follower's and leader's speed from any two of the three columns, or neither if they contradict one another.
-    fn agreed(
+    fn reconcile_speeds(
         &mut self,
-        row: &Row<'_>,
+        row: &CsvRow<'_>,
         (follower, relative, leader): (Option<f64>, Option<f64>, Option<f64>),
     ) -> (Option<f64>, Option<f64>) {
-        let possible = |speed_mps: f64| Quantity::Speed.allows(speed_mps).then_some(speed_mps);
+        let possible = |speed_mps: f64| ColumnQuantity::Speed.allows(speed_mps).then_some(speed_mps);
         match (follower, relative, leader) {
             (Some(follower), Some(relative), None) => (Some(follower), possible(follower + relative)),
             (None, Some(relative), Some(leader)) => (possible(leader - relative), Some(leader)),
             (Some(follower), Some(relative), Some(leader)) => {
                 let first_error_mps = (relative - (leader - follower)).abs();
-                if first_error_mps <= SPEED_AGREEMENT_MPS {
+                if first_error_mps <= SPEED_TOLERANCE_MPS {
                     return (Some(follower), Some(leader));
                 }
                 let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
                 let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
                 let what =
                     Omission::SpeedsContradict { column: name(&self.relative), difference, count: 0, first_error_mps };
-                self.contradictions.get_or_insert_with(|| (row.dropped(what), 0)).1 += 1;
+                self.contradictions.get_or_insert_with(|| (row.dropped_item(what), 0)).1 += 1;
                 (None, None)
             }
             (follower, None, leader) => (follower, leader),
@@ -192,14 +192,14 @@ impl<'m> Events<'m> {
         let [gaps_m, followers_mps, leaders_mps] = lists.map(mem::take);
         let mut lists = [gaps_m, followers_mps, leaders_mps];
         for (values, interpolated) in lists.iter_mut().zip(&mut self.interpolated) {
-            if let Some((count, first)) = bridge(values, &time_s, self.spec.0.interpolate_s) {
+            if let Some((count, first)) = interpolate_holes(values, &time_s, self.spec.0.interpolate_s) {
                 interpolated.get_or_insert((line.get(first).copied().unwrap_or(0), 0)).1 += count;
             }
         }
         let [gaps_m, followers_mps, leaders_mps] = lists;
-        let vehicle = |number, role: &str, speed_mps| Vehicle { number, name: Some(role.to_owned()), speed_mps };
+        let vehicle = |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
         let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
         let event = self.column.is_some().then(|| excerpt(&event));
-        self.platoons.push(Platoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+        self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
     }
 }

@@ -15,39 +15,39 @@ use std::io::Read;
 
 use csv::StringRecord;
 
-use super::dropped::{Dropped, Omission, Place};
+use super::dropped::{DroppedItem, Omission, PlatoonPosition};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{MapSpec, PlatoonSpec};
-use super::series::{Clock, Quantity, Series, bridge};
-use super::table::{Column, Extent, Row, Table, excerpt};
-use super::{Format, Platoon, Recording, Vehicle};
+use super::map::{RecordingMapSpec, PlatoonSpec};
+use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
+use super::table::{CsvColumn, RowLimiter, CsvRow, RowReader, excerpt};
+use super::{RecordingFormat, RecordedPlatoon, Recording, RecordedVehicle};
 
 /// Most vehicles of a platoon: ten times what was ever driven.
-const MOST_VEHICLES: usize = 200;
+const MAX_VEHICLES: usize = 200;
 
 /// Reads what follows the names of the columns, with the lines before them.
 pub(super) fn read<R: Read>(
-    table: &mut Table<'_, R>,
-    (map, platoon): (&MapSpec, &PlatoonSpec),
+    table: &mut RowReader<'_, R>,
+    (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
     lines: &[StringRecord],
-    names: &Row<'_>,
+    names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
-    let mut header = Header::default();
-    lines.iter().for_each(|fields| header.take(platoon, fields));
-    let layout = Layout::of((map, platoon), names)?;
+    let mut header = PlatoonHeader::default();
+    lines.iter().for_each(|fields| header.read_line(platoon, fields));
+    let layout = PlatoonColumns::from_names((map, platoon), names)?;
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
     let mut clock = Clock::new(layout.time);
-    let mut extent = Extent::new(&names.fields, 2 * layout.speeds.len());
-    let series = |column: &Column, quantity| Series::new(column.clone(), quantity);
+    let mut extent = RowLimiter::new(&names.fields, 2 * layout.speeds.len());
+    let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
     let mut speeds: BTreeMap<_, _> =
-        layout.speeds.iter().map(|(&number, column)| (number, series(column, Quantity::Speed))).collect();
+        layout.speeds.iter().map(|(&number, column)| (number, series(column, ColumnQuantity::Speed))).collect();
     let mut gaps: BTreeMap<_, _> =
-        layout.gaps.iter().map(|(&number, column)| (number, series(column, Quantity::Gap))).collect();
+        layout.gaps.iter().map(|(&number, column)| (number, series(column, ColumnQuantity::Gap))).collect();
     let (mut time_s, mut line) = (Vec::new(), Vec::new());
     while let Some(row) = table.next_row()? {
-        extent.admit(row)?;
+        extent.check_row(row)?;
         let Some(now_s) = clock.tick(row)? else { continue };
         time_s.push(now_s);
         line.push(row.line);
@@ -56,12 +56,12 @@ pub(super) fn read<R: Read>(
             series.values.push(value);
         }
         for series in gaps.values_mut() {
-            let value = series.read_less(row, platoon.length_m.unwrap_or(0.0))?;
+            let value = series.read_minus(row, platoon.length_m.unwrap_or(0.0))?;
             series.values.push(value);
         }
     }
     if extent.rows == 0 {
-        return Err(table.cut_short("its first sample"));
+        return Err(table.cut_short_error("its first sample"));
     }
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
@@ -69,10 +69,10 @@ pub(super) fn read<R: Read>(
     }
 
     for series in speeds.values_mut().chain(gaps.values_mut()) {
-        if let Some((count, first)) = bridge(&mut series.values, &time_s, map.interpolate_s) {
+        if let Some((count, first)) = interpolate_holes(&mut series.values, &time_s, map.interpolate_s) {
             let (path, column) = (table.path().to_owned(), series.column.name.clone());
             let line = line.get(first).copied().unwrap_or(0);
-            dropped.push(Dropped { path, line, what: Omission::Interpolated { column, count } });
+            dropped.push(DroppedItem { path, line, omission: Omission::Interpolated { column, count } });
         }
     }
 
@@ -80,26 +80,26 @@ pub(super) fn read<R: Read>(
     let mut platoons = Vec::new();
     for numbers in lines_of_vehicles {
         let gaps_m = numbers.iter().rev().skip(1).rev().map(|number| values_of(gaps.remove(number))).collect();
-        let vehicle = |&number: &usize| Vehicle {
+        let vehicle = |&number: &usize| RecordedVehicle {
             number,
             name: header.name_of(number, &layout.speeds),
             speed_mps: values_of(speeds.remove(&number)),
         };
         let vehicles = numbers.iter().map(vehicle).collect();
-        platoons.push(Platoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
+        platoons.push(RecordedPlatoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
     }
-    Ok(Recording { path: table.path().to_owned(), format: Format::of(map), platoons, traffic: None, dropped })
+    Ok(Recording { path: table.path().to_owned(), format: RecordingFormat::from_map(map), platoons, traffic: None, dropped })
 }
 
 /// What the header lines say of the vehicles.
 #[derive(Default)]
-struct Header {
+struct PlatoonHeader {
     order: Vec<String>,
     number_of_vehicles: usize,
 }
 
-impl Header {
-    fn take(&mut self, platoon: &PlatoonSpec, fields: &StringRecord) {
+impl PlatoonHeader {
+    fn read_line(&mut self, platoon: &PlatoonSpec, fields: &StringRecord) {
         let values = fields.iter().skip(1).filter(|value| !value.is_empty());
         let first = fields.get(0);
         if first.is_some() && first == platoon.names_line.as_deref() {
@@ -111,7 +111,7 @@ impl Header {
 
     /// Names count from vehicle 1 if there are enough of them, and else from the first recorded vehicle if there is
     /// one for each; otherwise it is unknown whose they are.
-    fn name_of(&self, number: usize, recorded: &BTreeMap<usize, Column>) -> Option<String> {
+    fn name_of(&self, number: usize, recorded: &BTreeMap<usize, CsvColumn>) -> Option<String> {
         let last = *recorded.keys().next_back()?;
         let place = if self.order.len() >= last {
             number.checked_sub(1)?
@@ -125,35 +125,35 @@ impl Header {
 }
 
 /// Where in a row things are.
-struct Layout {
-    time: Column,
+struct PlatoonColumns {
+    time: CsvColumn,
     /// Speed columns by number of the vehicle.
-    speeds: BTreeMap<usize, Column>,
+    speeds: BTreeMap<usize, CsvColumn>,
     /// Spacing columns by number of the vehicle ahead.
-    gaps: BTreeMap<usize, Column>,
+    gaps: BTreeMap<usize, CsvColumn>,
     /// What columns of spacings are called.
     spacing: String,
 }
 
-impl Layout {
-    fn of((map, platoon): (&MapSpec, &PlatoonSpec), names: &Row<'_>) -> Result<Self, RecordingError> {
-        let time = Column::of_time(names, &map.time)?;
+impl PlatoonColumns {
+    fn from_names((map, platoon): (&RecordingMapSpec, &PlatoonSpec), names: &CsvRow<'_>) -> Result<Self, RecordingError> {
+        let time = CsvColumn::find_time(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
         for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.index) {
-            let column = |factor| Column { name: excerpt(name), index, factor };
-            let before = if let Some(number) = numbered(name, &platoon.speed.column) {
+            let column = |factor| CsvColumn { name: excerpt(name), index, factor };
+            let before = if let Some(number) = column_number(name, &platoon.speed.column) {
                 speeds.insert(number, column(platoon.speed.unit.factor()))
-            } else if let Some(number) = numbered(name, &platoon.spacing.column) {
+            } else if let Some(number) = column_number(name, &platoon.spacing.column) {
                 gaps.insert(number, column(platoon.spacing.unit.factor()))
             } else {
                 None
             };
             if before.is_some() {
-                return names.misnamed(&excerpt(name), ColumnProblem::Repeated);
+                return names.reject_column(&excerpt(name), ColumnProblem::Repeated);
             }
         }
-        if speeds.len().max(gaps.len()) > MOST_VEHICLES {
-            return names.too_large(MOST_VEHICLES, "vehicles");
+        if speeds.len().max(gaps.len()) > MAX_VEHICLES {
+            return names.reject_too_large(MAX_VEHICLES, "vehicles");
         }
         Ok(Self { time, speeds, gaps, spacing: platoon.spacing.column.clone() })
     }
@@ -161,16 +161,16 @@ impl Layout {
     /// The numbers of the vehicles in each unbroken line of two or more.
     fn split(
         &self,
-        names: &Row<'_>,
-        header: &Header,
-        dropped: &mut Vec<Dropped>,
+        names: &CsvRow<'_>,
+        header: &PlatoonHeader,
+        dropped: &mut Vec<DroppedItem>,
     ) -> Result<Vec<Vec<usize>>, RecordingError> {
-        let mut report = |what| dropped.push(names.dropped(what));
+        let mut report = |what| dropped.push(names.dropped_item(what));
         let mut lines: Vec<Vec<usize>> = Vec::new();
         let mut ahead = 0;
         for &number in self.speeds.keys() {
             if number > ahead + 1 {
-                let place = if ahead == 0 { Place::Front } else { Place::Middle };
+                let place = if ahead == 0 { PlatoonPosition::Front } else { PlatoonPosition::Middle };
                 report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, place });
             }
             match lines.last_mut() {
@@ -186,8 +186,8 @@ impl Layout {
             ahead = number;
         }
         // A count far beyond the columns is a slip of the pen, not a platoon.
-        if header.number_of_vehicles > ahead && header.number_of_vehicles <= MOST_VEHICLES {
-            report(Omission::VehiclesMissing { first: ahead + 1, last: header.number_of_vehicles, place: Place::Rear });
+        if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
+            report(Omission::VehiclesMissing { first: ahead + 1, last: header.number_of_vehicles, place: PlatoonPosition::Rear });
         }
         for (number, column) in &self.gaps {
             if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
@@ -201,14 +201,14 @@ impl Layout {
         }
         lines.retain(|line| line.len() > 1);
         if lines.is_empty() {
-            return names.misnamed(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+            return names.reject_column(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
         }
         Ok(lines)
     }
 }
 
 /// The number, from 1, of a column such as `Speed2`, where they are called `Speed{}`.
-fn numbered(name: &str, called: &str) -> Option<usize> {
+fn column_number(name: &str, called: &str) -> Option<usize> {
     let (before, after) = called.split_once("{}")?;
     let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;
     (number > 0).then_some(usize::from(number))

@@ -3,12 +3,12 @@
 use std::fmt;
 
 use super::Recording;
-use super::leads::Lead;
-use super::motion::{LONGEST_HOLE_MS, Sample, WITHIN_MS, brakings};
-use super::series::rounded;
+use super::lead_vehicles::LeadVehicle;
+use super::motion::{MAX_HOLE_MS, SpeedSample, BRAKING_WINDOW_MS, find_brakings};
+use super::series::round_to_milli;
 
 /// Most lines that are drawn of one recording.
-const MOST_LINES: usize = 40;
+const MAX_LINES: usize = 40;
 
 /// The hardest braking of a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,15 +26,15 @@ pub struct HardestBraking {
 /// The hardest braking of a recording, or why there is none to be told.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub enum Hardest {
+pub enum HardestBrakingResult {
     /// This.
     Braking(HardestBraking),
     /// Speeds are known for whole seconds, and none of them falls.
-    Nobody,
+    NoBraking,
     /// No speed of a vehicle that may lead is known.
     NoSpeed,
     /// Speeds are further apart than is bridged by a straight line.
-    TooFarApart {
+    SamplesTooFarApart {
         /// The usual time between two speeds of a vehicle, in seconds.
         step_s: f64,
     },
@@ -46,7 +46,7 @@ pub enum Hardest {
 }
 
 /// In words, as the rest of a sentence about a file.
-impl fmt::Display for Hardest {
+impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Braking(HardestBraking { event, number, from_s, drop_mps }) => {
@@ -56,14 +56,14 @@ impl fmt::Display for Hardest {
                     "the hardest braking is {drop_mps:.2} m/s within a second, of vehicle {number}{event} from {from_s:.2} s on"
                 )
             }
-            Self::Nobody => out.write_str("nobody brakes"),
+            Self::NoBraking => out.write_str("nobody brakes"),
             Self::NoSpeed => {
                 out.write_str("no vehicle that may lead has a known speed, so that no braking can be seen")
             }
-            Self::TooFarApart { step_s } => write!(
+            Self::SamplesTooFarApart { step_s } => write!(
                 out,
                 "a vehicle's speeds are {step_s:.3} s apart, and at most {} s are bridged: no braking can be seen",
-                LONGEST_HOLE_MS as f64 / 1000.0
+                MAX_HOLE_MS as f64 / 1000.0
             ),
             Self::TooShort { longest_s } => write!(
                 out,
@@ -77,7 +77,7 @@ impl fmt::Display for Hardest {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preview {
     /// Vehicles with one behind them, or with a place for one.
-    pub leads: usize,
+    pub lead_vehicles: usize,
     /// Samples with a known speed of these.
     pub samples: usize,
     /// First and last time, in seconds.
@@ -89,7 +89,7 @@ pub struct Preview {
     /// Lowest, median and highest bumper gap, in metres; none if nobody follows anybody.
     pub gap_m: Option<[f64; 3]>,
     /// The hardest braking.
-    pub hardest: Hardest,
+    pub hardest: HardestBrakingResult,
     /// What can be drawn: the speeds of the vehicles with the longest tracks, and the gap behind each.
     pub lines: Vec<SpeedLine>,
 }
@@ -110,11 +110,11 @@ pub struct SpeedLine {
 pub fn preview(recording: &Recording) -> Option<Preview> {
     let (mut speeds_mps, mut gaps_m, mut steps_s, mut lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut time_s = [f64::INFINITY, f64::NEG_INFINITY];
-    let leads = recording.leads();
+    let leads = recording.lead_vehicles();
     for lead in &leads {
-        let mut line = SpeedLine { number: lead.placed(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
-        steps_s.extend(steps(&**lead));
-        for run in lead.runs() {
+        let mut line = SpeedLine { number: lead.episode_vehicle(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
+        steps_s.extend(sample_intervals(&**lead));
+        for run in lead.segments() {
             for sample in &run {
                 let now_s = seconds(sample);
                 time_s = [time_s[0].min(now_s), time_s[1].max(now_s)];
@@ -128,15 +128,15 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
         }
         lines.push(line);
         lines.sort_by_key(|line: &SpeedLine| std::cmp::Reverse(line.speed_mps.len()));
-        lines.truncate(MOST_LINES);
+        lines.truncate(MAX_LINES);
     }
     Some(Preview {
-        leads: leads.len(),
+        lead_vehicles: leads.len(),
         samples: speeds_mps.len(),
         time_s,
-        step_s: extremes(&mut steps_s).map(|[_, median, _]| rounded(median)),
-        speed_mps: extremes(&mut speeds_mps)?,
-        gap_m: extremes(&mut gaps_m),
+        step_s: min_median_max(&mut steps_s).map(|[_, median, _]| round_to_milli(median)),
+        speed_mps: min_median_max(&mut speeds_mps)?,
+        gap_m: min_median_max(&mut gaps_m),
         hardest: hardest_braking(recording),
         lines,
     })
@@ -144,17 +144,17 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
 
 /// The hardest braking of a recording, by the speed lost within a second.
 #[must_use]
-pub fn hardest_braking(recording: &Recording) -> Hardest {
+pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
     let mut hardest: Option<HardestBraking> = None;
     let (mut longest_ms, mut steps_s) = (None, Vec::new());
-    for lead in recording.leads() {
-        steps_s.extend(steps(&*lead));
-        for run in lead.runs() {
+    for lead in recording.lead_vehicles() {
+        steps_s.extend(sample_intervals(&*lead));
+        for run in lead.segments() {
             let lasts_ms = run.first().zip(run.last()).map(|(first, last)| last.time_ms - first.time_ms);
             longest_ms = longest_ms.max(lasts_ms);
-            for braking in brakings(&run, 0.0) {
+            for braking in find_brakings(&run, 0.0) {
                 if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
-                    let (event, number) = (lead.event().map(str::to_owned), lead.placed(0.0).number);
+                    let (event, number) = (lead.event().map(str::to_owned), lead.episode_vehicle(0.0).number);
                     let from_s = braking.hardest_ms as f64 / 1000.0;
                     hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
                 }
@@ -162,28 +162,28 @@ pub fn hardest_braking(recording: &Recording) -> Hardest {
         }
     }
     match (hardest, longest_ms) {
-        (Some(hardest), _) => Hardest::Braking(hardest),
-        (None, None) => Hardest::NoSpeed,
-        (None, Some(longest_ms)) if longest_ms >= WITHIN_MS => Hardest::Nobody,
-        (None, Some(longest_ms)) => match extremes(&mut steps_s) {
-            Some([_, step_s, _]) if step_s * 1000.0 > LONGEST_HOLE_MS as f64 => Hardest::TooFarApart { step_s },
-            _ => Hardest::TooShort { longest_s: longest_ms as f64 / 1000.0 },
+        (Some(hardest), _) => HardestBrakingResult::Braking(hardest),
+        (None, None) => HardestBrakingResult::NoSpeed,
+        (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => HardestBrakingResult::NoBraking,
+        (None, Some(longest_ms)) => match min_median_max(&mut steps_s) {
+            Some([_, step_s, _]) if step_s * 1000.0 > MAX_HOLE_MS as f64 => HardestBrakingResult::SamplesTooFarApart { step_s },
+            _ => HardestBrakingResult::TooShort { longest_s: longest_ms as f64 / 1000.0 },
         },
     }
 }
 
 /// Times between each two successive samples of a vehicle, in seconds, whether they are bridged or not.
-fn steps(lead: &dyn Lead) -> Vec<f64> {
-    let times: Vec<f64> = lead.runs().iter().flatten().map(seconds).collect();
+fn sample_intervals(lead: &dyn LeadVehicle) -> Vec<f64> {
+    let times: Vec<f64> = lead.segments().iter().flatten().map(seconds).collect();
     times.windows(2).filter_map(|pair| Some(pair.last()? - pair.first()?)).collect()
 }
 
-fn seconds(sample: &Sample) -> f64 {
+fn seconds(sample: &SpeedSample) -> f64 {
     sample.time_ms as f64 / 1000.0
 }
 
 /// Lowest, middle and highest.
-fn extremes(values: &mut [f64]) -> Option<[f64; 3]> {
+fn min_median_max(values: &mut [f64]) -> Option<[f64; 3]> {
     values.sort_by(f64::total_cmp);
     Some([*values.first()?, *values.get(values.len() / 2)?, *values.last()?])
 }

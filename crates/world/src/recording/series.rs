@@ -2,35 +2,35 @@
 
 use std::path::Path;
 
-use super::dropped::{Dropped, Omission};
+use super::dropped::{DroppedItem, Omission};
 use super::error::{RecordingError, ValueProblem};
-use super::table::{Column, Row};
+use super::table::{CsvColumn, CsvRow};
 
 /// Largest magnitude of a time, in seconds: beyond any clock, and still exact to a millisecond.
-const LARGEST_TIME_S: f64 = 1e10;
+const MAX_TIME_S: f64 = 1e10;
 /// Largest gap within a platoon, in metres: a vehicle further behind is following none.
-const LARGEST_GAP_M: f64 = 1000.0;
+const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed a scenario may hold, in m/s.
-const LARGEST_SPEED_MPS: f64 = 100.0;
+const MAX_SPEED_MPS: f64 = 100.0;
 /// Shortest and longest vehicle that a scenario may hold, in metres.
-const LENGTHS_M: [f64; 2] = [0.1, 100.0];
+const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
 /// To three decimals, what a scenario file shows: a millimetre, a millimetre a second, a millisecond.
-pub(super) fn rounded(value: f64) -> f64 {
+pub(super) fn round_to_milli(value: f64) -> f64 {
     // Adding zero turns -0 into 0.
     (value * 1000.0).round() / 1000.0 + 0.0
 }
 
 /// The column of times: only rows at least a millisecond later than the last one kept count.
 pub(super) struct Clock {
-    pub(super) column: Column,
+    pub(super) column: CsvColumn,
     last_s: Option<f64>,
     not_later: usize,
-    first: Option<Dropped>,
+    first: Option<DroppedItem>,
 }
 
 impl Clock {
-    pub(super) fn new(column: Column) -> Self {
+    pub(super) fn new(column: CsvColumn) -> Self {
         Self { column, last_s: None, not_later: 0, first: None }
     }
 
@@ -40,35 +40,35 @@ impl Clock {
     }
 
     /// The row's time in seconds.
-    pub(super) fn read(&self, row: &Row<'_>) -> Result<f64, RecordingError> {
+    pub(super) fn read(&self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
         match row.number(&self.column)? {
-            None => row.wrong(&self.column.name, ValueProblem::Missing),
-            Some(found) if found.abs() > LARGEST_TIME_S => {
-                row.wrong(&self.column.name, ValueProblem::OutOfRange { limit: LARGEST_TIME_S, found })
+            None => row.reject(&self.column.name, ValueProblem::Missing),
+            Some(found) if found.abs() > MAX_TIME_S => {
+                row.reject(&self.column.name, ValueProblem::OutOfRange { limit: MAX_TIME_S, found })
             }
             Some(found_s) => Ok(found_s),
         }
     }
 
     /// The row's time in seconds; none if it is not later than the last.
-    pub(super) fn tick(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
+    pub(super) fn tick(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
         let found_s = self.read(row)?;
         if let Some(before_s) = self.last_s
-            && rounded(found_s) <= rounded(before_s)
+            && round_to_milli(found_s) <= round_to_milli(before_s)
         {
             self.not_later += 1;
             let column = self.column.name.clone();
-            let first = Omission::NotLater { column, count: 0, before_s, found_s };
-            self.first.get_or_insert_with(|| row.dropped(first));
+            let first = Omission::NonIncreasingTime { column, count: 0, before_s, found_s };
+            self.first.get_or_insert_with(|| row.dropped_item(first));
             return Ok(None);
         }
         self.last_s = Some(found_s);
         Ok(Some(found_s))
     }
 
-    pub(super) fn report(self, dropped: &mut Vec<Dropped>) {
+    pub(super) fn report(self, dropped: &mut Vec<DroppedItem>) {
         if let Some(mut first) = self.first {
-            if let Omission::NotLater { count, .. } = &mut first.what {
+            if let Omission::NonIncreasingTime { count, .. } = &mut first.omission {
                 *count = self.not_later;
             }
             dropped.push(first);
@@ -78,7 +78,7 @@ impl Clock {
 
 /// What a column of values holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Quantity {
+pub(super) enum ColumnQuantity {
     Speed,
     /// Along the road, of either sign.
     SignedSpeed,
@@ -89,7 +89,7 @@ pub(super) enum Quantity {
     Signed,
 }
 
-impl Quantity {
+impl ColumnQuantity {
     pub(super) fn allows(self, value: f64) -> bool {
         self.excess(value) == 0.0
     }
@@ -97,13 +97,13 @@ impl Quantity {
     /// How far a value is outside what can be, 0 if it is possible.
     fn excess(self, value: f64) -> f64 {
         match self {
-            Self::Speed if rounded(value) < 0.0 => -value,
-            Self::Speed => (value - LARGEST_SPEED_MPS).max(0.0),
-            Self::SignedSpeed => (value.abs() - LARGEST_SPEED_MPS).max(0.0),
+            Self::Speed if round_to_milli(value) < 0.0 => -value,
+            Self::Speed => (value - MAX_SPEED_MPS).max(0.0),
+            Self::SignedSpeed => (value.abs() - MAX_SPEED_MPS).max(0.0),
             // A gap that rounds to nothing would let two vehicles touch in the scenario.
-            Self::Gap if rounded(value) <= 0.0 => 1e-3 - value,
-            Self::Gap => (value - LARGEST_GAP_M).max(0.0),
-            Self::Length => (LENGTHS_M[0] - value).max(value - LENGTHS_M[1]).max(0.0),
+            Self::Gap if round_to_milli(value) <= 0.0 => 1e-3 - value,
+            Self::Gap => (value - MAX_GAP_M).max(0.0),
+            Self::Length => (LENGTH_RANGE_M[0] - value).max(value - LENGTH_RANGE_M[1]).max(0.0),
             Self::Signed => 0.0,
         }
     }
@@ -111,8 +111,8 @@ impl Quantity {
 
 /// A column of values as it fills, with a count of what was missing or impossible.
 pub(super) struct Series {
-    pub(super) column: Column,
-    quantity: Quantity,
+    pub(super) column: CsvColumn,
+    quantity: ColumnQuantity,
     pub(super) values: Vec<Option<f64>>,
     missing: usize,
     first_missing: u64,
@@ -123,7 +123,7 @@ pub(super) struct Series {
 }
 
 impl Series {
-    pub(super) fn new(column: Column, quantity: Quantity) -> Self {
+    pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
         Self {
             column,
             quantity,
@@ -138,12 +138,12 @@ impl Series {
     }
 
     /// The row's value, if there is a possible one.
-    pub(super) fn read(&mut self, row: &Row<'_>) -> Result<Option<f64>, RecordingError> {
-        self.read_less(row, 0.0)
+    pub(super) fn read(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
+        self.read_minus(row, 0.0)
     }
 
     /// The row's value less something, such as a vehicle's length.
-    pub(super) fn read_less(&mut self, row: &Row<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
+    pub(super) fn read_minus(&mut self, row: &CsvRow<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
         let Some(value) = row.number(&self.column)?.map(|value| value - less) else {
             self.missing += 1;
             self.first_missing = if self.missing == 1 { row.line } else { self.first_missing };
@@ -162,27 +162,27 @@ impl Series {
     }
 
     /// Says what is missing from the values.
-    pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<Dropped>) {
+    pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
         let column = || self.column.name.clone();
         if self.missing > 0 {
             let what = Omission::MissingValues { column: column(), count: self.missing, rows };
-            dropped.push(Dropped { path: path.to_owned(), line: self.first_missing, what });
+            dropped.push(DroppedItem { path: path.to_owned(), line: self.first_missing, omission: what });
         }
         if self.impossible > 0 {
             let (column, count, last_line) = (column(), self.impossible, self.last_impossible);
             let what = match self.quantity {
-                Quantity::Gap => Omission::ImpossibleSpacings { column, count, last_line, worst_m: self.worst },
-                Quantity::Length => Omission::ImpossibleLengths { column, count, last_line, worst_m: self.worst },
+                ColumnQuantity::Gap => Omission::ImpossibleSpacings { column, count, last_line, worst_m: self.worst },
+                ColumnQuantity::Length => Omission::ImpossibleLengths { column, count, last_line, worst_m: self.worst },
                 _ => Omission::ImpossibleSpeeds { column, count, last_line, worst_mps: self.worst },
             };
-            dropped.push(Dropped { path: path.to_owned(), line: self.first_impossible, what });
+            dropped.push(DroppedItem { path: path.to_owned(), line: self.first_impossible, omission: what });
         }
     }
 }
 
 /// Fills holes between two values that are at most so long, in seconds, by straight lines; says how many values that made, and
 /// the first sample among them.
-pub(super) fn bridge(values: &mut [Option<f64>], time_s: &[f64], longest_s: f64) -> Option<(usize, usize)> {
+pub(super) fn interpolate_holes(values: &mut [Option<f64>], time_s: &[f64], longest_s: f64) -> Option<(usize, usize)> {
     let (mut before, mut filled) = (None, None);
     for after in 0..values.len() {
         let (Some(&to_s), Some(&Some(to))) = (time_s.get(after), values.get(after)) else { continue };

@@ -5,25 +5,25 @@ use std::path::Path;
 
 use csv::StringRecord;
 
-use super::dropped::{Dropped, Omission};
+use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError, ValueProblem};
 use super::map::{Delimiter, TimeSpec};
 
 /// Longest line, in bytes. 200 vehicles with all of OpenACC's columns take about 30 kB.
-const LONGEST_LINE: usize = 1 << 20;
+const MAX_LINE_BYTES: usize = 1 << 20;
 /// Most rows of one file.
-pub(super) const MOST_ROWS: usize = 5_000_000;
+pub(super) const MAX_ROWS: usize = 5_000_000;
 /// Most speeds and gaps of one file: 320 MB of them.
-const MOST_VALUES: usize = 20_000_000;
+const MAX_VALUES: usize = 20_000_000;
 
 /// Ends every line with a line feed, the last one too, and refuses one longer than any recording has before it fills
 /// the memory.
-struct Lines<R> {
+struct LineLimitReader<R> {
     inner: R,
     since_line_feed: usize,
 }
 
-impl<R: Read> Read for Lines<R> {
+impl<R: Read> Read for LineLimitReader<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let count = self.inner.read(into)?;
         if count == 0
@@ -36,8 +36,8 @@ impl<R: Read> Read for Lines<R> {
         }
         for &byte in into.iter().take(count) {
             self.since_line_feed = if byte == b'\n' { 0 } else { self.since_line_feed + 1 };
-            if self.since_line_feed > LONGEST_LINE {
-                let message = format!("a line of more than {LONGEST_LINE} bytes is no row of numbers");
+            if self.since_line_feed > MAX_LINE_BYTES {
+                let message = format!("a line of more than {MAX_LINE_BYTES} bytes is no row of numbers");
                 return Err(io::Error::new(io::ErrorKind::InvalidData, message));
             }
         }
@@ -46,13 +46,13 @@ impl<R: Read> Read for Lines<R> {
 }
 
 /// The rows of a file, one at a time.
-pub(super) struct Table<'a, R> {
+pub(super) struct RowReader<'a, R> {
     path: &'a Path,
-    reader: csv::Reader<Lines<R>>,
-    row: Row<'a>,
+    reader: csv::Reader<LineLimitReader<R>>,
+    row: CsvRow<'a>,
 }
 
-impl<'a, R: Read> Table<'a, R> {
+impl<'a, R: Read> RowReader<'a, R> {
     pub(super) fn new(from: R, path: &'a Path, delimiter: Delimiter) -> Self {
         let delimiter = match delimiter {
             Delimiter::Comma => b',',
@@ -68,8 +68,8 @@ impl<'a, R: Read> Table<'a, R> {
             // A carriage return before it is trimmed away. To end rows at either would count lines wrongly.
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
-            .from_reader(Lines { inner: from, since_line_feed: 0 });
-        Self { path, reader, row: Row { path, line: 0, fields: StringRecord::new() } }
+            .from_reader(LineLimitReader { inner: from, since_line_feed: 0 });
+        Self { path, reader, row: CsvRow { path, line: 0, fields: StringRecord::new() } }
     }
 
     pub(super) fn path(&self) -> &'a Path {
@@ -77,7 +77,7 @@ impl<'a, R: Read> Table<'a, R> {
     }
 
     /// The next row that is not blank; none at the end of the file.
-    pub(super) fn next_row(&mut self) -> Result<Option<&Row<'a>>, RecordingError> {
+    pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
         loop {
             match self.reader.read_record(&mut self.row.fields) {
                 Ok(true) => {
@@ -88,12 +88,12 @@ impl<'a, R: Read> Table<'a, R> {
                     }
                 }
                 Ok(false) => return Ok(None),
-                Err(error) => return Err(self.misread(error)),
+                Err(error) => return Err(self.read_error(error)),
             }
         }
     }
 
-    fn misread(&self, error: csv::Error) -> RecordingError {
+    fn read_error(&self, error: csv::Error) -> RecordingError {
         // Text in UTF-8 is checked when the row has been read; whatever else fails does so inside the next row.
         let line = match error.kind() {
             csv::ErrorKind::Utf8 { .. } => self.reader.position().line().saturating_sub(1),
@@ -112,26 +112,26 @@ impl<'a, R: Read> Table<'a, R> {
         }
     }
 
-    pub(super) fn cut_short(&self, expected: &'static str) -> RecordingError {
+    pub(super) fn cut_short_error(&self, expected: &'static str) -> RecordingError {
         RecordingError::CutShort { path: self.path.to_owned(), line: self.row.line, expected }
     }
 }
 
 /// One row.
 #[derive(Clone)]
-pub(super) struct Row<'a> {
+pub(super) struct CsvRow<'a> {
     path: &'a Path,
     pub(super) line: u64,
     pub(super) fields: StringRecord,
 }
 
-impl Row<'_> {
+impl CsvRow<'_> {
     pub(super) fn text(&self, index: usize) -> &str {
         self.fields.get(index).unwrap_or_default()
     }
 
     /// The number of a field; none if it is empty or says NaN, which is how many tools write a missing value.
-    pub(super) fn number(&self, column: &Column) -> Result<Option<f64>, RecordingError> {
+    pub(super) fn number(&self, column: &CsvColumn) -> Result<Option<f64>, RecordingError> {
         let text = self.text(column.index);
         if text.is_empty() {
             return Ok(None);
@@ -139,36 +139,36 @@ impl Row<'_> {
         match text.parse::<f64>() {
             Ok(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
             Ok(number) if number.is_nan() => Ok(None),
-            _ => self.wrong(&column.name, ValueProblem::NotANumber { found: excerpt(text) }),
+            _ => self.reject(&column.name, ValueProblem::NotANumber { found: excerpt(text) }),
         }
     }
 
-    pub(super) fn wrong<T>(&self, column: &str, problem: ValueProblem) -> Result<T, RecordingError> {
+    pub(super) fn reject<T>(&self, column: &str, problem: ValueProblem) -> Result<T, RecordingError> {
         let (path, column) = (self.path.to_owned(), column.to_owned());
         Err(RecordingError::Value { path, line: self.line, column, problem })
     }
 
     /// For the row that names the columns.
-    pub(super) fn misnamed<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
+    pub(super) fn reject_column<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
         let (path, column) = (self.path.to_owned(), column.to_owned());
         Err(RecordingError::Column { path, line: self.line, column, problem })
     }
 
-    pub(super) fn too_large<T>(&self, limit: usize, what: &'static str) -> Result<T, RecordingError> {
+    pub(super) fn reject_too_large<T>(&self, limit: usize, what: &'static str) -> Result<T, RecordingError> {
         Err(RecordingError::TooLarge { path: self.path.to_owned(), line: self.line, limit, what })
     }
 
-    pub(super) fn dropped(&self, what: Omission) -> Dropped {
-        Dropped { path: self.path.to_owned(), line: self.line, what }
+    pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
+        DroppedItem { path: self.path.to_owned(), line: self.line, omission: what }
     }
 }
 
 /// Enough of a text to recognise it by, on one line.
 pub(super) fn excerpt(text: &str) -> String {
-    const LONGEST: usize = 40;
+    const MAX_LENGTH: usize = 40;
     let visible = |letter: char| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter };
-    let mut excerpt: String = text.chars().take(LONGEST).map(visible).collect();
-    if text.chars().nth(LONGEST).is_some() {
+    let mut excerpt: String = text.chars().take(MAX_LENGTH).map(visible).collect();
+    if text.chars().nth(MAX_LENGTH).is_some() {
         excerpt += "...";
     }
     excerpt
@@ -176,29 +176,29 @@ pub(super) fn excerpt(text: &str) -> String {
 
 /// A column by name and place.
 #[derive(Debug, Clone)]
-pub(super) struct Column {
+pub(super) struct CsvColumn {
     pub(super) name: String,
     pub(super) index: usize,
     /// How many seconds, metres or metres a second a number of it is.
     pub(super) factor: f64,
 }
 
-impl Column {
+impl CsvColumn {
     /// The one column of a name.
-    pub(super) fn find(names: &Row<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
+    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
         let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
         match (found.next(), found.next()) {
             (Some((index, _)), None) => Ok(Self { name: excerpt(name), index, factor }),
-            (Some(_), Some(_)) => names.misnamed(&excerpt(name), ColumnProblem::Repeated),
+            (Some(_), Some(_)) => names.reject_column(&excerpt(name), ColumnProblem::Repeated),
             (None, _) => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
-                names.misnamed(&excerpt(name), ColumnProblem::Missing { known })
+                names.reject_column(&excerpt(name), ColumnProblem::Missing { known })
             }
         }
     }
 
     /// The column of times.
-    pub(super) fn of_time(names: &Row<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
+    pub(super) fn find_time(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
         match time {
             TimeSpec::Clock(clock) => Self::find(names, &clock.column, clock.unit.factor()),
             TimeSpec::Frames(frames) => Self::find(names, &frames.column, 1.0 / frames.rate_hz),
@@ -207,19 +207,19 @@ impl Column {
 }
 
 /// Counts rows and values, and refuses a file before it fills the memory.
-pub(super) struct Extent<'h> {
+pub(super) struct RowLimiter<'h> {
     names: &'h StringRecord,
     values_per_row: usize,
     pub(super) rows: usize,
 }
 
-impl<'h> Extent<'h> {
+impl<'h> RowLimiter<'h> {
     pub(super) fn new(names: &'h StringRecord, values_per_row: usize) -> Self {
         Self { names, values_per_row, rows: 0 }
     }
 
     /// Accepts a row that has a field for each column and still fits.
-    pub(super) fn admit(&mut self, row: &Row<'_>) -> Result<(), RecordingError> {
+    pub(super) fn check_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
         let (expected, found) = (self.names.len(), row.fields.len());
         if found != expected {
             let column = excerpt(self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
@@ -227,11 +227,11 @@ impl<'h> Extent<'h> {
             return Err(RecordingError::FieldCount { path, line, column, expected, found });
         }
         self.rows += 1;
-        if self.rows > MOST_ROWS {
-            return row.too_large(MOST_ROWS, "rows");
+        if self.rows > MAX_ROWS {
+            return row.reject_too_large(MAX_ROWS, "rows");
         }
-        if self.rows.saturating_mul(self.values_per_row) > MOST_VALUES {
-            return row.too_large(MOST_VALUES, "speeds and gaps");
+        if self.rows.saturating_mul(self.values_per_row) > MAX_VALUES {
+            return row.reject_too_large(MAX_VALUES, "speeds and gaps");
         }
         Ok(())
     }

@@ -7,31 +7,31 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
-use super::dropped::{Dropped, Omission};
-use super::episode::Placed;
+use super::dropped::{DroppedItem, Omission};
+use super::episode::EpisodeVehicle;
 use super::error::{RecordingError, ValueProblem};
-use super::leads::{Ahead, Lead};
-use super::map::{LengthSpec, MapSpec, Point, TracksSpec};
-use super::motion::{Sample, joined};
-use super::series::{Clock, Quantity, Series, bridge, rounded};
-use super::table::{Column, Extent, MOST_ROWS, Row, Table, excerpt};
-use super::{Format, Recording};
+use super::lead_vehicles::{VehicleAhead, LeadVehicle};
+use super::map::{LengthSpec, RecordingMapSpec, ReferencePoint, TracksSpec};
+use super::motion::{SpeedSample, split_at_holes};
+use super::series::{Clock, ColumnQuantity, Series, interpolate_holes, round_to_milli};
+use super::table::{CsvColumn, RowLimiter, MAX_ROWS, CsvRow, RowReader, excerpt};
+use super::{RecordingFormat, Recording};
 
 /// Most vehicles behind a leader that become part of a scenario: further back, a wave has taken longer than an episode lasts.
-const MOST_FOLLOWERS: usize = 9;
+const MAX_FOLLOWERS: usize = 9;
 /// Most lanes of a recording.
-const MOST_LANES: usize = 10_000;
+const MAX_LANES: usize = 10_000;
 
 /// Vehicles that come, go and change their places.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Traffic {
+pub struct RecordedTraffic {
     /// In order of vehicle, then of time.
-    places: Vec<Place>,
+    points: Vec<TrackPoint>,
 }
 
 /// One vehicle at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Place {
+struct TrackPoint {
     vehicle: u32,
     lane: u32,
     time_ms: i64,
@@ -44,7 +44,7 @@ struct Place {
     /// Front bumper in the direction of driving, in metres; of no meaning where position or length are not known.
     front_m: f64,
     /// Whether positions fall as it drives.
-    falls: bool,
+    position_decreases: bool,
     /// Gap ahead, in metres, and the place of who is there.
     ahead: Option<(f64, u32)>,
     /// The place of who is behind.
@@ -53,35 +53,35 @@ struct Place {
 
 /// Reads what follows the names of the columns.
 pub(super) fn read<R: Read>(
-    table: &mut Table<'_, R>,
-    (map, tracks): (&MapSpec, &TracksSpec),
-    names: &Row<'_>,
+    table: &mut RowReader<'_, R>,
+    (map, tracks): (&RecordingMapSpec, &TracksSpec),
+    names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
-    let clock = Clock::new(Column::of_time(names, &map.time)?);
-    let vehicle = Column::find(names, &tracks.vehicle, 1.0)?;
-    let lane = tracks.lane.as_ref().map(|name| Column::find(names, name, 1.0)).transpose()?;
-    let series = |name: &str, factor, quantity| Ok(Series::new(Column::find(names, name, factor)?, quantity));
-    let mut position = series(&tracks.position.column, tracks.position.unit.factor(), Quantity::Signed)?;
-    let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor(), Quantity::SignedSpeed)?;
+    let clock = Clock::new(CsvColumn::find_time(names, &map.time)?);
+    let vehicle = CsvColumn::find(names, &tracks.vehicle, 1.0)?;
+    let lane = tracks.lane.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?;
+    let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
+    let mut position = series(&tracks.position.column, tracks.position.unit.factor(), ColumnQuantity::Signed)?;
+    let mut speed = series(&tracks.speed.column, tracks.speed.unit.factor(), ColumnQuantity::SignedSpeed)?;
     let (mut length, same_m) = match &tracks.length {
-        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), Quantity::Length)?), 0.0),
+        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
         LengthSpec::Metres(metres) => (None, *metres),
     };
     let mut lanes = BTreeMap::new();
-    let mut extent = Extent::new(&names.fields, 2);
+    let mut extent = RowLimiter::new(&names.fields, 2);
     let mut places = Vec::new();
     while let Some(row) = table.next_row()? {
-        extent.admit(row)?;
+        extent.check_row(row)?;
         let time_s = clock.read(row)?;
-        let vehicle = whole(row, &vehicle)?;
+        let vehicle = read_whole_number(row, &vehicle)?;
         let lane = match &lane {
             // Who is in no lane could be in any of them, between any two.
-            Some(column) if row.text(column.index).is_empty() => return row.wrong(&column.name, ValueProblem::Missing),
+            Some(column) if row.text(column.index).is_empty() => return row.reject(&column.name, ValueProblem::Missing),
             Some(column) => {
                 let next = lanes.len();
                 let known = *lanes.entry(row.text(column.index).to_owned()).or_insert(next);
-                if lanes.len() > MOST_LANES {
-                    return row.too_large(MOST_LANES, "lanes");
+                if lanes.len() > MAX_LANES {
+                    return row.reject_too_large(MAX_LANES, "lanes");
                 }
                 known as u32
             }
@@ -90,7 +90,7 @@ pub(super) fn read<R: Read>(
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(same_m)), |series| series.read(row))?;
         // Kept even where it is not known: without it, who is behind would seem to follow who is ahead.
-        places.push(Place {
+        places.push(TrackPoint {
             vehicle,
             lane,
             time_ms: (time_s * 1000.0).round() as i64,
@@ -99,53 +99,53 @@ pub(super) fn read<R: Read>(
             speed_mps,
             length_m,
             front_m: 0.0,
-            falls: false,
+            position_decreases: false,
             ahead: None,
             behind: None,
         });
     }
     if extent.rows == 0 {
-        return Err(table.cut_short("its first sample"));
+        return Err(table.cut_short_error("its first sample"));
     }
     let path = table.path();
     let mut dropped = Vec::new();
     for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
         series.report(path, extent.rows, &mut dropped);
     }
-    places.sort_unstable_by_key(|place: &Place| (place.vehicle, place.time_ms, place.line));
-    let what = |what, line| Dropped { path: path.to_owned(), line, what };
-    if let Some((twice, count)) = once(&mut places) {
-        dropped.push(what(Omission::Twice { vehicle: twice.vehicle, count }, twice.line));
+    places.sort_unstable_by_key(|place: &TrackPoint| (place.vehicle, place.time_ms, place.line));
+    let what = |what, line| DroppedItem { path: path.to_owned(), line, omission: what };
+    if let Some((twice, count)) = remove_duplicates(&mut places) {
+        dropped.push(what(Omission::DuplicateRows { vehicle: twice.vehicle, count }, twice.line));
     }
-    let filled = fill(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
+    let filled = fill_holes(&mut places, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
         path: path.to_owned(),
         line,
-        limit: MOST_ROWS,
+        limit: MAX_ROWS,
         what: "rows, with those that are filled",
     })?;
     if let Some((line, count)) = filled {
         dropped.push(what(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
     }
-    turn(&mut places, tracks.position.of);
-    let Linked { overlapping, unplaced } = link(&mut places);
-    dropped.extend(unplaced.map(|(line, count)| what(Omission::Unplaced { count }, line)));
+    orient(&mut places, tracks.position.of);
+    let LinkProblems { overlapping, unknown_position: unplaced } = link(&mut places);
+    dropped.extend(unplaced.map(|(line, count)| what(Omission::UnknownPosition { count }, line)));
     dropped.extend(overlapping.map(|(line, count)| what(Omission::Overlapping { count }, line)));
-    let traffic = Some(Traffic { places });
-    Ok(Recording { path: path.to_owned(), format: Format::of(map), platoons: Vec::new(), traffic, dropped })
+    let traffic = Some(RecordedTraffic { points: places });
+    Ok(Recording { path: path.to_owned(), format: RecordingFormat::from_map(map), platoons: Vec::new(), traffic, dropped })
 }
 
 /// A whole number of a vehicle, which some tools write with a point.
-fn whole(row: &Row<'_>, column: &Column) -> Result<u32, RecordingError> {
+fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
     match row.number(column)? {
         Some(number) if number >= 0.0 && number <= f64::from(u32::MAX) && number.fract() == 0.0 => Ok(number as u32),
-        Some(_) => row.wrong(&column.name, ValueProblem::NotWhole { found: excerpt(row.text(column.index)) }),
-        None => row.wrong(&column.name, ValueProblem::Missing),
+        Some(_) => row.reject(&column.name, ValueProblem::NotWhole { found: excerpt(row.text(column.index)) }),
+        None => row.reject(&column.name, ValueProblem::Missing),
     }
 }
 
 /// Leaves each vehicle in one place at a time: the first, and how many others there were.
-fn once(places: &mut Vec<Place>) -> Option<(Place, usize)> {
-    let mut twice: Option<(Place, usize)> = None;
+fn remove_duplicates(places: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
+    let mut twice: Option<(TrackPoint, usize)> = None;
     places.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
         if is_twice {
@@ -157,12 +157,12 @@ fn once(places: &mut Vec<Place>) -> Option<(Place, usize)> {
 }
 
 /// Numbers of a place that may be missing.
-const MAY_BE_MISSING: [fn(&mut Place) -> &mut Option<f64>; 3] =
+const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
     [|place| &mut place.position_m, |place| &mut place.speed_mps, |place| &mut place.length_m];
 
 /// Fills what is missing for no longer than so long: numbers of places, and places between two of one vehicle in one lane that are further
 /// apart than usual. Says the line of the first and how many they are; an error is the line at which they become too many.
-fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
+fn fill_holes(places: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Option<(u64, usize)>, u64> {
     let longest_ms = (longest_s * 1000.0).round() as i64;
     let steps = places.windows(2).filter_map(|pair| match pair {
         [a, b] if a.vehicle == b.vehicle && longest_ms > 0 => Some(b.time_ms - a.time_ms),
@@ -174,15 +174,15 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
     let mut found: Option<(u64, usize)> = None;
     for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
         let time_s: Vec<f64> = track.iter().map(|place| place.time_ms as f64 / 1000.0).collect();
-        for number in MAY_BE_MISSING {
+        for number in OPTIONAL_FIELDS {
             let mut values: Vec<Option<f64>> = track.iter_mut().map(|place| *number(place)).collect();
-            if let Some((count, first)) = bridge(&mut values, &time_s, longest_s) {
+            if let Some((count, first)) = interpolate_holes(&mut values, &time_s, longest_s) {
                 track.iter_mut().zip(values).for_each(|(place, value)| *number(place) = value);
                 found.get_or_insert((track.get(first).map_or(0, |place| place.line), 0)).1 += count;
             }
         }
     }
-    let mut filled: Vec<Place> = Vec::new();
+    let mut filled: Vec<TrackPoint> = Vec::new();
     for pair in places.windows(2) {
         let [a, b] = pair else { continue };
         let hole_ms = b.time_ms - a.time_ms;
@@ -194,7 +194,7 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
         for part in 1..parts {
             let share = part as f64 / parts as f64;
             let between = |a: f64, b: f64| a + (b - a) * share;
-            filled.push(Place {
+            filled.push(TrackPoint {
                 time_ms: between(a.time_ms as f64, b.time_ms as f64).round() as i64,
                 position_m: a.position_m.zip(b.position_m).map(|(a, b)| between(a, b)),
                 speed_mps: a.speed_mps.zip(b.speed_mps).map(|(a, b)| between(a, b)),
@@ -202,11 +202,11 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
                 ..*a
             });
         }
-        if places.len() + filled.len() > MOST_ROWS {
+        if places.len() + filled.len() > MAX_ROWS {
             return Err(a.line);
         }
     }
-    if let Some(Place { line, .. }) = filled.first() {
+    if let Some(TrackPoint { line, .. }) = filled.first() {
         found.get_or_insert((*line, 0)).1 += filled.len();
     }
     places.append(&mut filled);
@@ -215,7 +215,7 @@ fn fill(places: &mut Vec<Place>, longest_s: f64) -> Result<Option<(u64, usize)>,
 }
 
 /// Finds out which way each vehicle drives, and where its front is.
-fn turn(places: &mut [Place], of: Point) {
+fn orient(places: &mut [TrackPoint], of: ReferencePoint) {
     for track in places.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
         let mut known_m = track.iter().filter_map(|place| place.position_m);
         let first_m = known_m.next().unwrap_or(0.0);
@@ -228,13 +228,13 @@ fn turn(places: &mut [Place], of: Point) {
             // Vehicles do not overlap: without its length, a place still has its turn among those of its lane.
             let (position_m, length_m) = (place.position_m.unwrap_or(0.0), place.length_m.unwrap_or(0.0));
             let ahead_m = match of {
-                Point::Front => 0.0,
-                Point::Centre => length_m / 2.0,
-                Point::Rear => length_m,
-                Point::LowEnd if falls => 0.0,
-                Point::LowEnd => length_m,
+                ReferencePoint::Front => 0.0,
+                ReferencePoint::Centre => length_m / 2.0,
+                ReferencePoint::Rear => length_m,
+                ReferencePoint::LowEnd if falls => 0.0,
+                ReferencePoint::LowEnd => length_m,
             };
-            place.falls = falls;
+            place.position_decreases = falls;
             place.front_m = ahead_m + if falls { -position_m } else { position_m };
             place.speed_mps = place.speed_mps.map(f64::abs);
         }
@@ -242,19 +242,19 @@ fn turn(places: &mut [Place], of: Point) {
 }
 
 /// What keeps a place from being linked with its neighbour: the line of the first, and how many.
-struct Linked {
+struct LinkProblems {
     /// They overlap.
     overlapping: Option<(u64, usize)>,
     /// Position or length are not known.
-    unplaced: Option<(u64, usize)>,
+    unknown_position: Option<(u64, usize)>,
 }
 
 /// Links each place with those ahead of it and behind it. Where a vehicle's position is not known, it may be between any two of its lane, and
 /// none of these are linked; where its length is not, it is linked with nobody.
-fn link(places: &mut [Place]) -> Linked {
+fn link(places: &mut [TrackPoint]) -> LinkProblems {
     let mut order: Vec<u32> = (0..places.len() as u32).collect();
-    let at = |places: &[Place], index: u32| places.get(index as usize).copied();
-    let row = |place: &Place| (place.time_ms, place.lane, place.falls);
+    let at = |places: &[TrackPoint], index: u32| places.get(index as usize).copied();
+    let row = |place: &TrackPoint| (place.time_ms, place.lane, place.position_decreases);
     let unplaced = || places.iter().filter(|place| place.position_m.is_none() || place.length_m.is_none());
     let unplaced = unplaced().map(|place| place.line).min().map(|first| (first, unplaced().count()));
     let torn: BTreeSet<_> = places.iter().filter(|place| place.position_m.is_none()).map(row).collect();
@@ -271,75 +271,75 @@ fn link(places: &mut [Place]) -> Linked {
         }
         let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else { continue };
         let gap_m = ahead.front_m - length_m - behind.front_m;
-        if Quantity::Gap.allows(gap_m) {
+        if ColumnQuantity::Gap.allows(gap_m) {
             if let Some(place) = places.get_mut(rear as usize) {
                 place.ahead = Some((gap_m, front));
             }
             if let Some(place) = places.get_mut(front as usize) {
                 place.behind = Some(rear);
             }
-        } else if rounded(gap_m) <= 0.0 {
+        } else if round_to_milli(gap_m) <= 0.0 {
             overlapping.get_or_insert((behind.line, 0)).1 += 1;
         }
     }
-    Linked { overlapping, unplaced }
+    LinkProblems { overlapping, unknown_position: unplaced }
 }
 
-impl Traffic {
-    fn place(&self, index: usize) -> Option<&Place> {
-        self.places.get(index)
+impl RecordedTraffic {
+    fn point(&self, index: usize) -> Option<&TrackPoint> {
+        self.points.get(index)
     }
 
     /// Every vehicle: each may have another behind it at some time.
-    pub(super) fn leads(&self) -> impl Iterator<Item = Box<dyn Lead + '_>> {
+    pub(super) fn lead_vehicles(&self) -> impl Iterator<Item = Box<dyn LeadVehicle + '_>> {
         let mut from = 0;
-        self.places.chunk_by(|a, b| a.vehicle == b.vehicle).map(move |track| {
+        self.points.chunk_by(|a, b| a.vehicle == b.vehicle).map(move |track| {
             let first = from;
             from += track.len();
-            Box::new(InTraffic { traffic: self, first, track }) as Box<dyn Lead>
+            Box::new(TrafficLead { traffic: self, first, track }) as Box<dyn LeadVehicle>
         })
     }
 }
 
 /// One vehicle of many.
-struct InTraffic<'a> {
-    traffic: &'a Traffic,
+struct TrafficLead<'a> {
+    traffic: &'a RecordedTraffic,
     /// Index of its first place.
     first: usize,
-    track: &'a [Place],
+    track: &'a [TrackPoint],
 }
 
-impl Lead for InTraffic<'_> {
-    fn runs(&self) -> Vec<Vec<Sample>> {
-        let sample = |(index, place): (usize, &Place)| {
-            Some(Sample { index: self.first + index, time_ms: place.time_ms, speed_mps: rounded(place.speed_mps?) })
+impl LeadVehicle for TrafficLead<'_> {
+    fn segments(&self) -> Vec<Vec<SpeedSample>> {
+        let sample = |(index, place): (usize, &TrackPoint)| {
+            Some(SpeedSample { index: self.first + index, time_ms: place.time_ms, speed_mps: round_to_milli(place.speed_mps?) })
         };
-        joined(self.track.iter().enumerate().filter_map(sample))
+        split_at_holes(self.track.iter().enumerate().filter_map(sample))
     }
 
-    fn placed(&self, speed_mps: f64) -> Placed {
+    fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle {
         let number = self.track.first().map_or(0, |place| place.vehicle as usize);
-        let length_m = self.track.iter().find_map(|place| place.length_m).map(rounded);
-        Placed { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m }
+        let length_m = self.track.iter().find_map(|place| place.length_m).map(round_to_milli);
+        EpisodeVehicle { number, name: None, gap_ahead_m: 0.0, speed_mps, length_m }
     }
 
-    fn followers_at(&self, sample: &Sample) -> Vec<Placed> {
-        let mut ahead = self.traffic.place(sample.index);
+    fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {
+        let mut ahead = self.traffic.point(sample.index);
         let next = || {
-            let behind = self.traffic.place(ahead?.behind? as usize)?;
+            let behind = self.traffic.point(ahead?.behind? as usize)?;
             ahead = Some(behind);
-            Some(Placed {
+            Some(EpisodeVehicle {
                 number: behind.vehicle as usize,
                 name: None,
-                gap_ahead_m: rounded(behind.ahead?.0),
-                speed_mps: rounded(behind.speed_mps?),
-                length_m: behind.length_m.map(rounded),
+                gap_ahead_m: round_to_milli(behind.ahead?.0),
+                speed_mps: round_to_milli(behind.speed_mps?),
+                length_m: behind.length_m.map(round_to_milli),
             })
         };
-        std::iter::from_fn(next).take(MOST_FOLLOWERS).collect()
+        std::iter::from_fn(next).take(MAX_FOLLOWERS).collect()
     }
 
-    fn follower_speed_at_mps(&self, sample: &Sample, followers: usize) -> Option<f64> {
+    fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {
         let behind = self.followers_at(sample);
         behind.first().filter(|_| behind.len() >= followers).map(|next| next.speed_mps)
     }
@@ -348,17 +348,17 @@ impl Lead for InTraffic<'_> {
         None
     }
 
-    fn ahead_at(&self, sample: &Sample) -> Ahead {
-        let ahead = self.traffic.place(sample.index).and_then(|place| self.traffic.place(place.ahead?.1 as usize));
+    fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead {
+        let ahead = self.traffic.point(sample.index).and_then(|place| self.traffic.point(place.ahead?.1 as usize));
         match ahead {
-            None => Ahead::Nobody,
-            Some(ahead) if ahead.speed_mps.is_some() => Ahead::Recorded(ahead.vehicle as usize),
-            Some(ahead) => Ahead::NotRecorded(ahead.vehicle as usize),
+            None => VehicleAhead::None,
+            Some(ahead) if ahead.speed_mps.is_some() => VehicleAhead::Recorded(ahead.vehicle as usize),
+            Some(ahead) => VehicleAhead::NotRecorded(ahead.vehicle as usize),
         }
     }
 
-    fn line_of(&self, sample: &Sample) -> u64 {
-        self.traffic.place(sample.index).map_or(0, |place| place.line)
+    fn line_of(&self, sample: &SpeedSample) -> u64 {
+        self.traffic.point(sample.index).map_or(0, |place| place.line)
     }
 
     fn event(&self) -> Option<&str> {

@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
 use crate::control::{
-    ControllerKind, FmuProblem, HistoryPadding, Input, InvalidMapping, Mapping, NamedBy, NetworkController, Output,
-    ProcessController, ProcessSetup, StartPermission, StartRefused, Wiring,
+    ControllerKind, FmuProblem, HistoryPadding, InputMapping, InvalidMapping, Mapping, NameOrigin, NetworkController, OutputMapping,
+    ProcessController, ProcessSetup, StartPermission, StartRefusal, FmuConfig,
 };
-use crate::network::{NetworkError, NetworkFile, Statistics, VecNormalizeTrace};
+use crate::network::{NetworkError, NetworkFile, VecNormalizeStats, VecNormalizeUse};
 use crate::policy::{Policy, PolicyError};
 
 /// Version of the format of controller files that this release reads.
@@ -56,7 +56,7 @@ pub struct ControllerFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision_interval_s: Option<f64>,
     /// Decisions of which the controller sees the inputs: 1 for the present ones alone.
-    #[serde(default = "one")]
+    #[serde(default = "default_history")]
     pub history: usize,
     /// What stands for the decisions before the first: what was seen first, unless it says `zeros`, as Stable-Baselines3's
     /// `VecFrameStack` begins.
@@ -72,13 +72,13 @@ pub struct ControllerFile {
     pub normalised: Option<bool>,
     /// What the controller sees, in order; everything there is, for a command without them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub inputs: Option<Vec<Input>>,
+    pub inputs: Option<Vec<InputMapping>>,
     /// What its answer means; an acceleration, for a command without it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub output: Option<Output>,
+    pub output: Option<OutputMapping>,
 }
 
-fn one() -> usize {
+fn default_history() -> usize {
     1
 }
 
@@ -107,7 +107,7 @@ pub enum ControllerFileError {
     Command(InvalidMapping),
     /// A program that the user did not name.
     #[error(transparent)]
-    StartRefused(#[from] StartRefused),
+    StartRefused(#[from] StartRefusal),
     /// An FMU that cannot drive.
     #[error("{path}: {problem}")]
     Fmu {
@@ -143,12 +143,12 @@ pub enum ControllerFileError {
 ///
 /// # Errors
 /// [`ControllerFileError`] if there is no such file, it holds no usable controller, or its program may not be started.
-pub fn load(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
+pub fn load(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
     if path.extension().is_some_and(|extension| extension == "toml") {
         load_controller_file(path, named_by)
     } else if path.extension().is_some_and(|extension| extension == "fmu") {
         load_fmu(path, named_by)
-    } else if NetworkFile::is_one(path) {
+    } else if NetworkFile::is_network(path) {
         load_network(path)
     } else {
         Ok(Arc::new(Policy::load(path)?).into())
@@ -159,10 +159,10 @@ pub fn load(path: &Path, named_by: NamedBy) -> Result<ControllerKind, Controller
 ///
 /// # Errors
 /// None in practice; the serializer's error is passed on rather than hidden.
-pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
+pub fn to_files(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2], toml::ser::Error> {
     let Mapping { decision_interval_s, history, history_padding, newest_first, inputs, output } =
         controller.mapping().clone();
-    let (network, bytes) = controller.file().named();
+    let (network, bytes) = controller.file().name_and_bytes();
     let file = ControllerFile {
         version: CONTROLLER_FILE_VERSION,
         network: Some(network.clone()),
@@ -178,7 +178,7 @@ pub fn files_of(controller: &NetworkController) -> Result<[(String, Vec<u8>); 2]
     Ok([(file_name(controller), toml::to_string(&file)?.into_bytes()), (network, bytes.to_vec())])
 }
 
-/// The name that [`files_of`] gives the controller file.
+/// The name that [`to_files`] gives the controller file.
 #[must_use]
 pub fn file_name(controller: &NetworkController) -> String {
     let identity = controller.identity();
@@ -186,7 +186,7 @@ pub fn file_name(controller: &NetworkController) -> String {
 }
 
 /// Whether there is an ordinary file: a scenario may name anything, and reading some things does not end.
-pub(crate) fn is_ordinary(path: &Path) -> bool {
+pub(crate) fn is_regular_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|found| found.is_file())
 }
 
@@ -194,25 +194,25 @@ pub(crate) fn is_ordinary(path: &Path) -> bool {
 fn load_network(path: &Path) -> Result<ControllerKind, ControllerFileError> {
     let file = NetworkFile::load(path)?;
     let shown = || path.display().to_string();
-    if let Some(reason) = normalised_by(&file, path) {
+    if let Some(reason) = normalisation_evidence(&file, path) {
         return Err(ControllerFileError::Normalised { path: shown(), reason });
     }
-    let controller = NetworkController::with_own_mapping(file)
+    let controller = NetworkController::with_native_mapping(file)
         .map_err(|invalid| ControllerFileError::NeedsMapping { path: shown(), invalid })?;
     // Where the statistics beside it say that they left observations alone, a copy elsewhere still has to say so.
-    let is_behind = controller.file().saved_model().is_some_and(|saved| saved.trace == VecNormalizeTrace::Behind);
+    let is_behind = controller.file().saved_model().is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind);
     Ok(Arc::new(controller.with_normalised(is_behind.then_some(false)).with_file_path(path)).into())
 }
 
 /// Whether the inputs hold what the statistics beside a model say.
-fn has_statistics(mapping: &Mapping, path: &Path) -> bool {
+fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
     /// Numbers are often written with seven digits.
-    const CLOSE: f64 = 1e-5;
-    let Some(Statistics::OfObservations(theirs)) = Statistics::beside(path).map(|beside| Statistics::load(&beside))
+    const TOLERANCE: f64 = 1e-5;
+    let Some(VecNormalizeStats::Observations(theirs)) = VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
     else {
         return false;
     };
-    let is_close = |own: f64, their: f64| (own - their).abs() <= CLOSE * their.abs().max(CLOSE);
+    let is_close = |own: f64, their: f64| (own - their).abs() <= TOLERANCE * their.abs().max(TOLERANCE);
     theirs.means.len() == mapping.inputs.len()
         && mapping.inputs.iter().zip(theirs.means.iter().zip(&theirs.deviations)).all(|(input, (mean, deviation))| {
             is_close(input.offset, *mean)
@@ -223,22 +223,22 @@ fn has_statistics(mapping: &Mapping, path: &Path) -> bool {
 }
 
 /// What tells that a model's observations were normalised in training: its own file, or statistics beside it.
-fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
-    let trace = file.saved_model()?.trace;
-    if trace == VecNormalizeTrace::None {
+fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
+    let trace = file.saved_model()?.vec_normalize;
+    if trace == VecNormalizeUse::None {
         return None;
     }
-    let beside = Statistics::beside(path);
-    if beside.as_deref().is_some_and(|beside| Statistics::load(beside) == Statistics::OfRewards) {
+    let beside = VecNormalizeStats::find_for_model(path);
+    if beside.as_deref().is_some_and(|beside| VecNormalizeStats::load(beside) == VecNormalizeStats::RewardsOnly) {
         return None;
     }
     let folder = path.parent().unwrap_or(Path::new(""));
     let beside = beside.map(|beside| beside.strip_prefix(folder).unwrap_or(&beside).display().to_string());
     match (trace, beside) {
-        (VecNormalizeTrace::Behind, Some(beside)) => Some(format!(
+        (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
             "it was trained behind VecNormalize, as its own data tells (`{beside}` seems to have the statistics)"
         )),
-        (VecNormalizeTrace::Behind, None) => {
+        (VecNormalizeUse::Behind, None) => {
             Some("it was trained behind VecNormalize, as its own data tells".to_owned())
         }
         (_, Some(beside)) => Some(format!("beside it lies `{beside}`, so what it saw in training was normalised")),
@@ -247,10 +247,10 @@ fn normalised_by(file: &NetworkFile, path: &Path) -> Option<String> {
 }
 
 /// The controller of a controller file.
-fn load_controller_file(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
+fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
     let text = read(path)?;
     let file: ControllerFile = parse_toml(&text, path)?;
-    let wrong = |InvalidMapping { field, problem }| FileError::of_field(path, &text, &field, problem);
+    let wrong = |InvalidMapping { field, problem }| FileError::from_field(path, &text, &field, problem);
     if file.version != CONTROLLER_FILE_VERSION {
         let problem =
             format!("version {} is not supported: this release reads {CONTROLLER_FILE_VERSION}", file.version);
@@ -259,16 +259,16 @@ fn load_controller_file(path: &Path, named_by: NamedBy) -> Result<ControllerKind
     let folder = path.with_file_name("");
     let permission =
         |field: &str| named_by.permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)));
-    match file.drives().map_err(wrong)? {
-        Drives::Network(name) => {
+    match file.controller_source().map_err(wrong)? {
+        ControllerFileSource::Network(name) => {
             let normalised = file.normalised;
-            let mapping = file.mapping_of_network().map_err(wrong)?;
+            let mapping = file.into_network_mapping().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
             let place = folder.join(name);
             let network = NetworkFile::load(&place)?;
             if normalised.is_none()
-                && !has_statistics(&mapping, &place)
-                && let Some(reason) = normalised_by(&network, &place)
+                && !matches_saved_statistics(&mapping, &place)
+                && let Some(reason) = normalisation_evidence(&network, &place)
             {
                 let problem = format!(
                     "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the deviations as scales, or \
@@ -280,10 +280,10 @@ fn load_controller_file(path: &Path, named_by: NamedBy) -> Result<ControllerKind
             let controller = NetworkController::new(network, mapping).map_err(wrong)?;
             Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
         }
-        Drives::Fmu(name) => {
+        ControllerFileSource::Fmu(name) => {
             let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
-            let (answer_within_s, wiring) = (file.answer_within_s, file.wiring());
-            let plain = ProcessSetup::of_fmu(&folder, &name, wiring).map_err(|problem| match problem {
+            let (answer_within_s, wiring) = (file.answer_within_s, file.into_wiring());
+            let plain = ProcessSetup::from_fmu(&folder, &name, wiring).map_err(|problem| match problem {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
                 problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
             })?;
@@ -293,36 +293,36 @@ fn load_controller_file(path: &Path, named_by: NamedBy) -> Result<ControllerKind
                 answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
                 ..plain
             };
-            started(setup, path, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
+            process_controller(setup, path, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
         }
-        Drives::Command(command) => {
-            let setup = file.process(command, &folder);
-            started(setup, path, permission("command")?).map_err(|invalid| wrong(invalid).into())
+        ControllerFileSource::Command(command) => {
+            let setup = file.into_process_setup(command, &folder);
+            process_controller(setup, path, permission("command")?).map_err(|invalid| wrong(invalid).into())
         }
     }
 }
 
 /// Returns the process that the file at `path` sets up.
-fn started(setup: ProcessSetup, path: &Path, permission: StartPermission) -> Result<ControllerKind, InvalidMapping> {
+fn process_controller(setup: ProcessSetup, path: &Path, permission: StartPermission) -> Result<ControllerKind, InvalidMapping> {
     let setup = ProcessSetup { file: Some(path.to_owned()), ..setup };
     Ok(Arc::new(ProcessController::new(setup, permission)?).into())
 }
 
 /// An FMU in a file of its own: its inputs are called like what can be seen.
-fn load_fmu(path: &Path, named_by: NamedBy) -> Result<ControllerKind, ControllerFileError> {
+fn load_fmu(path: &Path, named_by: NameOrigin) -> Result<ControllerKind, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let setup = ProcessSetup::of_fmu(&path.with_file_name(""), &name, Wiring::default());
+    let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default());
     let failed = |problem| match problem {
         FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping { path: path.display().to_string(), invalid },
         problem => ControllerFileError::Fmu { path: path.display().to_string(), problem },
     };
     let setup = setup.map_err(failed)?;
     let permission = named_by.permission(|| path.display().to_string())?;
-    started(setup, path, permission).map_err(|invalid| failed(invalid.into()))
+    process_controller(setup, path, permission).map_err(|invalid| failed(invalid.into()))
 }
 
 /// What a controller file says drives.
-enum Drives {
+enum ControllerFileSource {
     Network(String),
     Fmu(String),
     Command(Vec<String>),
@@ -330,10 +330,10 @@ enum Drives {
 
 impl ControllerFile {
     /// What drives, if everything else that is said is for that.
-    fn drives(&self) -> Result<Drives, InvalidMapping> {
-        let network = self.network.clone().map(|name| ("network", "a network", Drives::Network(name)));
-        let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", Drives::Fmu(name)));
-        let command = self.command.clone().map(|words| ("command", "a command", Drives::Command(words)));
+    fn controller_source(&self) -> Result<ControllerFileSource, InvalidMapping> {
+        let network = self.network.clone().map(|name| ("network", "a network", ControllerFileSource::Network(name)));
+        let fmu = self.fmu.clone().map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
+        let command = self.command.clone().map(|words| ("command", "a command", ControllerFileSource::Command(words)));
         let mut said = [network, fmu, command].into_iter().flatten();
         let problem = "there is neither a `network`, nor an `fmu`, nor a `command`";
         let (field, what, drives) = said.next().ok_or_else(|| InvalidMapping::new("version", problem))?;
@@ -348,7 +348,7 @@ impl ControllerFile {
             ("deterministic".to_owned(), self.deterministic.is_some() && is_network),
             ("start_within_s".to_owned(), self.start_within_s.is_some() && is_network),
             ("answer_within_s".to_owned(), self.answer_within_s.is_some() && is_network),
-            ("history".to_owned(), self.history != one() && is_fmu),
+            ("history".to_owned(), self.history != default_history() && is_fmu),
             ("history_padding".to_owned(), !self.history_padding.is_default() && is_fmu),
             ("newest_first".to_owned(), self.newest_first && is_fmu),
             ("normalised".to_owned(), self.normalised.is_some() && !is_network),
@@ -363,7 +363,7 @@ impl ControllerFile {
     }
 
     /// What a network sees and answers, all of which has to be said.
-    fn mapping_of_network(self) -> Result<Mapping, InvalidMapping> {
+    fn into_network_mapping(self) -> Result<Mapping, InvalidMapping> {
         let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
         Ok(Mapping {
             decision_interval_s: Some(self.decision_interval_s.ok_or_else(|| missing("decision_interval_s"))?),
@@ -376,13 +376,13 @@ impl ControllerFile {
     }
 
     /// What an FMU is wired to.
-    fn wiring(self) -> Wiring {
+    fn into_wiring(self) -> FmuConfig {
         let Self { inputs, output, parameters, decision_interval_s, .. } = self;
-        Wiring { inputs, output, parameters, decision_interval_s }
+        FmuConfig { inputs, output, parameters, decision_interval_s }
     }
 
     /// What a command is started with, sees and answers.
-    fn process(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
+    fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
         let plain = ProcessSetup::new(command, folder);
         ProcessSetup {
             files: self.files,

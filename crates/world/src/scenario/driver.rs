@@ -4,10 +4,10 @@ use std::path::{self, Path};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::controller_file::{self, ControllerFileError, is_ordinary};
-use super::invalid::Problem;
+use super::controller_file::{self, ControllerFileError, is_regular_file};
+use super::invalid::FieldProblem;
 use super::profile::LeadProfile;
-use crate::control::{self, BuiltIn, ControllerKind, ControllerSpec, NamedBy, with_controllers};
+use crate::control::{self, BuiltIn, ControllerKind, ControllerSpec, NameOrigin, with_controllers};
 
 /// Who decides a vehicle's acceleration.
 ///
@@ -63,13 +63,13 @@ impl FileDriver {
 
     /// Reads the controller, whose path starts at `folder`. From then on it states its identity and where it lies on this
     /// machine, so that a scenario that is written elsewhere still finds it, and no other.
-    pub(super) fn read(&mut self, folder: &Path) -> Result<(), Problem> {
-        let unusable = |why: String| Problem::DriverFile { why };
+    pub(super) fn read(&mut self, folder: &Path) -> Result<(), FieldProblem> {
+        let unusable = |why: String| FieldProblem::DriverFile { reason: why };
         let path = path::absolute(folder.join(&self.path)).map_err(|error| unusable(error.to_string()))?;
-        if !is_ordinary(&path) {
+        if !is_regular_file(&path) {
             return Err(unusable(format!("there is no file {}", path.display())));
         }
-        let controller = controller_file::load(&path, NamedBy::File).map_err(|error| match error {
+        let controller = controller_file::load(&path, NameOrigin::File).map_err(|error| match error {
             ControllerFileError::StartRefused(refused) => refused.into(),
             other => unusable(other.to_string()),
         })?;
@@ -110,9 +110,9 @@ macro_rules! define_form {
             /// Scripted: brake at a constant rate to a lower speed and hold that.
             BrakeToSpeed(super::profile::BrakeToSpeed),
             /// Scripted: piecewise constant acceleration.
-            Pieces(super::profile::Pieces),
+            Pieces(super::profile::PiecewiseAcceleration),
             /// Scripted: follow recorded speeds.
-            Recorded(super::profile::Recorded),
+            Recorded(super::profile::RecordedSpeeds),
             $($(#[$doc])* $rule(<control::$rule as BuiltIn>::Settings),)*
             $($(#[$policy_doc])* $policy(<control::$known_by as BuiltIn>::Settings),)*
             /// A controller from a file.
@@ -174,7 +174,7 @@ impl Driver {
         match self {
             Self::UnderTest | Self::Profile(LeadProfile::ConstantSpeed) => true,
             Self::Profile(_) | Self::File(_) => false,
-            Self::Controller(controller) => ControllerSpec::named(controller.name()).as_ref() == Some(controller),
+            Self::Controller(controller) => ControllerSpec::from_name(controller.name()).as_ref() == Some(controller),
         }
     }
 }
@@ -191,8 +191,8 @@ impl Serialize for Driver {
 
 impl<'de> Deserialize<'de> for Driver {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct NameOrTable;
-        impl<'de> de::Visitor<'de> for NameOrTable {
+        struct DriverVisitor;
+        impl<'de> de::Visitor<'de> for DriverVisitor {
             type Value = DriverForm;
 
             fn expecting(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -214,7 +214,7 @@ impl<'de> Deserialize<'de> for Driver {
                 }
             }
         }
-        deserializer.deserialize_any(NameOrTable).map(Into::into)
+        deserializer.deserialize_any(DriverVisitor).map(Into::into)
     }
 }
 
@@ -227,7 +227,7 @@ impl schemars::JsonSchema for Driver {
     fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
         let with_settings = generator.subschema_for::<DriverForm>();
         let mut names = vec!["under-test", "constant-speed"];
-        names.extend(ControllerSpec::built_in().iter().map(ControllerSpec::name));
+        names.extend(ControllerSpec::all().iter().map(ControllerSpec::name));
         schemars::json_schema!({
             "description": "Who drives: a bare name, or one name with its settings.",
             "anyOf": [{ "enum": names }, with_settings],

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
-use super::by_name::ByName;
-use super::{InvalidField, Problem, Scenario, ScenarioSpec};
+use super::named_fields::NamedFields;
+use super::{InvalidField, FieldProblem, Scenario, ScenarioSpec};
 
 /// Why a scenario file could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -53,26 +53,26 @@ pub enum FileError {
 
 impl FileError {
     /// Returns the error that `field` of the TOML text of a file is wrong.
-    pub(crate) fn of_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
+    pub(crate) fn from_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
         Self::Syntax { path: path.to_owned(), line: line_in_toml(text, field), message: format!("{field}: {problem}") }
     }
 
     /// Returns true if the only fault of the file is that it names a program, which crumple may not start.
     #[must_use]
     pub fn is_start_refused(&self) -> bool {
-        matches!(self, Self::Invalid { invalid: InvalidField { problem: Problem::StartRefused(_), .. }, .. })
+        matches!(self, Self::Invalid { invalid: InvalidField { problem: FieldProblem::StartRefused(_), .. }, .. })
     }
 }
 
 /// The two file formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+enum ScenarioFileFormat {
     Toml,
     Json,
 }
 
-impl Format {
-    fn of(path: &Path) -> Option<Self> {
+impl ScenarioFileFormat {
+    fn from_path(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()? {
             "toml" => Some(Self::Toml),
             "json" => Some(Self::Json),
@@ -86,7 +86,7 @@ impl Format {
 /// # Errors
 /// [`FileError`] for a file that cannot be read, parsed or accepted.
 pub fn load(path: &Path) -> Result<Scenario, FileError> {
-    let format = Format::of(path).ok_or_else(|| FileError::Extension { path: path.to_owned() })?;
+    let format = ScenarioFileFormat::from_path(path).ok_or_else(|| FileError::Extension { path: path.to_owned() })?;
     parse(&read(path)?, format, path)
 }
 
@@ -94,7 +94,7 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
 ///
 /// # Errors
 /// [`FileError`] for the first file that cannot be read, parsed or accepted, and for a folder of more than `MOST_FILES` of them
-/// or `MOST_FOLDER_BYTES`. Files of a folder that end in neither .toml nor .json are passed over, and so is [`EARLIER_EXPECTED`].
+/// or `MAX_FOLDER_BYTES`. Files of a folder that end in neither .toml nor .json are passed over, and so is [`LEGACY_EXPECTED_FILE_NAME`].
 pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), load(path)?)]);
@@ -102,35 +102,35 @@ pub fn load_all(path: &Path) -> Result<Vec<(PathBuf, Scenario)>, FileError> {
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
     let is_scenario =
-        |path: &PathBuf| Format::of(path).is_some() && path.file_name() != Some(EARLIER_EXPECTED.as_ref());
+        |path: &PathBuf| ScenarioFileFormat::from_path(path).is_some() && path.file_name() != Some(LEGACY_EXPECTED_FILE_NAME.as_ref());
     let mut files: Vec<_> = entries.iter().map(fs::DirEntry::path).filter(is_scenario).collect();
     files.sort();
     let bytes: u64 = files.iter().flat_map(fs::metadata).map(|found| found.len()).sum();
-    if files.len() > MOST_FILES || bytes > MOST_FOLDER_BYTES {
-        let most = MOST_FOLDER_BYTES >> 20;
-        let problem = format!("holds more than {MOST_FILES} scenario files, or more than {most} MiB: too much at once");
+    if files.len() > MAX_FILES || bytes > MAX_FOLDER_BYTES {
+        let most = MAX_FOLDER_BYTES >> 20;
+        let problem = format!("holds more than {MAX_FILES} scenario files, or more than {most} MiB: too much at once");
         return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
     files.into_iter().map(|path| load(&path).map(|scenario| (path, scenario))).collect()
 }
 
 /// Name of the file with the recorded verdicts of a folder of scenarios, in TOML. The ending keeps it out of `*.toml`.
-pub const EXPECTED: &str = "expected.verdicts";
+pub const EXPECTED_FILE_NAME: &str = "expected.verdicts";
 
 /// Name of this file in version 0.1.0.
-pub const EARLIER_EXPECTED: &str = "expected.toml";
+pub const LEGACY_EXPECTED_FILE_NAME: &str = "expected.toml";
 
 /// Most scenario files of a folder that are read at once.
-pub(crate) const MOST_FILES: usize = 10_000;
+pub(crate) const MAX_FILES: usize = 10_000;
 
 /// Most bytes of a folder that is read at once.
-pub(crate) const MOST_FOLDER_BYTES: u64 = 64 << 20;
+pub(crate) const MAX_FOLDER_BYTES: u64 = 64 << 20;
 
 /// Most bytes of a text file: ten times a minute of scripted motion at the finest step. As JSON that takes some 16 MB once parsed.
-pub const MOST_BYTES: u64 = 8 << 20;
+pub const MAX_BYTES: u64 = 8 << 20;
 
 /// Most bytes of TOML, of which a parsed one takes up to 80 in memory: 240 MB.
-pub const MOST_TOML_BYTES: u64 = 3 << 20;
+pub const MAX_TOML_BYTES: u64 = 3 << 20;
 
 /// Reads a text file.
 ///
@@ -138,7 +138,7 @@ pub const MOST_TOML_BYTES: u64 = 3 << 20;
 /// [`FileError::Read`] for one that cannot be read or holds more than [`MOST_BYTES`], and [`FileError::Syntax`] with the line for one that
 /// is not UTF-8.
 pub fn read(path: &Path) -> Result<String, FileError> {
-    read_at_most(path, MOST_BYTES)
+    read_at_most(path, MAX_BYTES)
 }
 
 /// Reads a text file of at most so many bytes.
@@ -156,7 +156,7 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let text = String::from_utf8(bytes).map_err(|error| {
         let whole = error.utf8_error().valid_up_to();
         let message = "is not UTF-8 text from here on: save it as UTF-8".to_owned();
-        FileError::Syntax { path: path.to_owned(), line: line_in(error.as_bytes(), whole), message }
+        FileError::Syntax { path: path.to_owned(), line: line_at_byte(error.as_bytes(), whole), message }
     })?;
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
@@ -166,7 +166,7 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
 /// # Errors
 /// [`FileError`] for text that is not a valid scenario.
 pub fn from_toml(text: &str, path: &Path) -> Result<Scenario, FileError> {
-    parse(text, Format::Toml, path)
+    parse(text, ScenarioFileFormat::Toml, path)
 }
 
 /// Reads a scenario from JSON text; `path` only names it in errors.
@@ -174,19 +174,19 @@ pub fn from_toml(text: &str, path: &Path) -> Result<Scenario, FileError> {
 /// # Errors
 /// [`FileError`] for text that is not a valid scenario.
 pub fn from_json(text: &str, path: &Path) -> Result<Scenario, FileError> {
-    parse(text, Format::Json, path)
+    parse(text, ScenarioFileFormat::Json, path)
 }
 
-fn parse(text: &str, format: Format, path: &Path) -> Result<Scenario, FileError> {
+fn parse(text: &str, format: ScenarioFileFormat, path: &Path) -> Result<Scenario, FileError> {
     let mut spec: ScenarioSpec = match format {
-        Format::Toml => parse_toml(text, path)?,
-        Format::Json => parse_json(text, path)?,
+        ScenarioFileFormat::Toml => parse_toml(text, path)?,
+        ScenarioFileFormat::Json => parse_json(text, path)?,
     };
     let drivers = spec.read_drivers(path.parent().unwrap_or(Path::new("")));
     drivers.and_then(|()| Scenario::new(spec)).map_err(|invalid| {
         let span = match format {
-            Format::Toml => locate_in_toml(text, &invalid.field),
-            Format::Json => locate_in_json(text, &invalid.field),
+            ScenarioFileFormat::Toml => locate_in_toml(text, &invalid.field),
+            ScenarioFileFormat::Json => locate_in_json(text, &invalid.field),
         };
         FileError::Invalid { path: path.to_owned(), line: line_at(text, span.start), invalid }
     })
@@ -197,18 +197,18 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     let misread = |field: String, error: toml::de::Error| FileError::Syntax {
         path: path.to_owned(),
         line: error.span().map_or(1, |span| line_at(text, span.start)),
-        message: name_field(&field, &plain(error.message())),
+        message: prefix_field(&field, &simplify_message(error.message())),
     };
-    if text.len() as u64 > MOST_TOML_BYTES {
-        let most = MOST_TOML_BYTES >> 20;
+    if text.len() as u64 > MAX_TOML_BYTES {
+        let most = MAX_TOML_BYTES >> 20;
         let message = format!(
             "holds more than {most} MiB of TOML, too much to parse (as JSON, a scenario or a space may have {} MiB)",
-            MOST_BYTES >> 20
+            MAX_BYTES >> 20
         );
         return Err(FileError::Syntax { path: path.to_owned(), line: 1, message });
     }
     let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
-    serde_path_to_error::deserialize(ByName(parsed))
+    serde_path_to_error::deserialize(NamedFields(parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))
 }
 
@@ -218,9 +218,9 @@ pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     let misread = |field: String, error: serde_json::Error| FileError::Syntax {
         path: path.to_owned(),
         line: error.line().max(1),
-        message: name_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
+        message: prefix_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
     };
-    let value = serde_path_to_error::deserialize(ByName(&mut parsed))
+    let value = serde_path_to_error::deserialize(NamedFields(&mut parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
     parsed.end().map_err(|error| misread(String::new(), error))?;
     Ok(value)
@@ -233,13 +233,13 @@ pub fn line_in_toml(text: &str, field: &str) -> usize {
 
 /// What TOML text says of a field, as it was written; none where it does not say it.
 #[must_use]
-pub fn written_in_toml<'t>(text: &'t str, field: &str) -> Option<&'t str> {
-    let (span, is_whole) = found_in_toml(text, field);
+pub fn raw_toml_value<'t>(text: &'t str, field: &str) -> Option<&'t str> {
+    let (span, is_whole) = find_in_toml(text, field);
     text.get(span).filter(|_| is_whole)
 }
 
 /// Messages of the parser that speak of its own workings, as somebody would say them who wrote the file.
-fn plain(message: &str) -> std::borrow::Cow<'_, str> {
+fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
     match message {
         "wanted exactly 1 element, more than 1 element" => "several kinds are given, and one is wanted".into(),
         "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
@@ -253,7 +253,7 @@ fn plain(message: &str) -> std::borrow::Cow<'_, str> {
 }
 
 /// The message behind the field it is about, where the parser knows the field.
-fn name_field(field: &str, message: &str) -> String {
+fn prefix_field(field: &str, message: &str) -> String {
     // What the parser had not named when the text broke off is the last of the path.
     let field = field.strip_suffix('?').map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
     if field.is_empty() || field == "." { message.to_owned() } else { format!("{field}: {message}") }
@@ -269,10 +269,10 @@ pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
 
 /// The line, from 1, of a byte offset.
 fn line_at(text: &str, offset: usize) -> usize {
-    line_in(text.as_bytes(), offset)
+    line_at_byte(text.as_bytes(), offset)
 }
 
-fn line_in(bytes: &[u8], offset: usize) -> usize {
+fn line_at_byte(bytes: &[u8], offset: usize) -> usize {
     1 + bytes.iter().take(offset).filter(|&&byte| byte == b'\n').count()
 }
 
@@ -292,11 +292,11 @@ enum PathStep<'a> {
 
 /// Where a field stands in TOML text: as deep as the file spells the path out, for a default may be what is wrong.
 fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
-    found_in_toml(text, field).0
+    find_in_toml(text, field).0
 }
 
 /// The same, and whether that is all of the path.
-fn found_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
+fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut span = 0..0;
     let Ok(root) = toml::de::DeTable::parse(text) else { return (span, false) };
     let mut table = Some(root.get_ref());
@@ -444,7 +444,7 @@ driver = "under-test"
         ] {
             assert!(from_toml(&text, Path::new("deep.toml")).is_err());
         }
-        let long = format!("{GOOD}#{}\n", " ".repeat(MOST_TOML_BYTES as usize));
+        let long = format!("{GOOD}#{}\n", " ".repeat(MAX_TOML_BYTES as usize));
         let said = error_of(&long);
         assert!(said.starts_with("bad.toml:1: holds more than 3 MiB of TOML"), "{said}");
         let folder = tempfile::tempdir().unwrap();

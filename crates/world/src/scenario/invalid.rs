@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::SCENARIO_VERSION;
-use crate::control::StartRefused;
+use crate::control::StartRefusal;
 
 /// A field that makes a scenario invalid: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -12,13 +12,13 @@ pub struct InvalidField {
     /// Path of the field in the file, such as `vehicles[1].position_m`.
     pub field: String,
     /// What is wrong.
-    pub problem: Problem,
+    pub problem: FieldProblem,
 }
 
 /// What can be wrong with a field.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Problem {
+pub enum FieldProblem {
     /// The file is of another format version.
     #[error("version {found} is not supported: this release reads version {SCENARIO_VERSION}")]
     Version {
@@ -26,26 +26,26 @@ pub enum Problem {
         found: u32,
     },
     /// Not a number, or infinite.
-    #[error("must be a finite number, found {}", short(*found))]
+    #[error("must be a finite number, found {}", format_compact(*found))]
     NotFinite {
         /// What the file says.
         found: f64,
     },
     /// Outside its range.
-    #[error("must be {range}, found {}", short(*found))]
+    #[error("must be {range}, found {}", format_compact(*found))]
     OutOfRange {
         /// The range it must be in.
-        range: Range,
+        range: AllowedRange,
         /// What the file says.
         found: f64,
     },
     /// An empty text or list, or one too long.
-    #[error("must have {least} to {most} {what}, found {found}")]
+    #[error("must have {min} to {max} {what}, found {found}")]
     Length {
         /// Fewest allowed.
-        least: usize,
+        min: usize,
         /// Most allowed.
-        most: usize,
+        max: usize,
         /// What is counted.
         what: &'static str,
         /// How many there are.
@@ -102,16 +102,16 @@ pub enum Problem {
     },
     /// A delay, lag or jerk limit on a vehicle that follows a script.
     #[error("has no place on a vehicle that follows a script: put the delay into the script")]
-    Scripted,
+    DelayedScript,
     /// A vehicle that decides for itself and is to change lanes.
     #[error("has no place on a vehicle that is driven by `{driver}`: only one that follows a script may change lanes")]
-    NotScripted {
+    LaneChangeNotScripted {
         /// Who drives it.
         driver: &'static str,
     },
     /// A vehicle that leaves no later than it enters.
     #[error("must be later than it enters, at {enters_s} s, found {found} s")]
-    LeavesBefore {
+    LeavesBeforeEntering {
         /// When it enters, in seconds.
         enters_s: f64,
         /// When it leaves, in seconds.
@@ -134,14 +134,14 @@ pub enum Problem {
         found: usize,
     },
     /// A driver from a file that cannot be read, or was not.
-    #[error("{why}")]
+    #[error("{reason}")]
     DriverFile {
         /// Why not.
-        why: String,
+        reason: String,
     },
     /// A driver that is a program.
     #[error(transparent)]
-    StartRefused(#[from] StartRefused),
+    StartRefused(#[from] StartRefusal),
     /// A seed that a TOML file cannot hold, since its integers are signed.
     #[error("must be at most {limit}, found {found}", limit = i64::MAX)]
     Seed {
@@ -151,7 +151,7 @@ pub enum Problem {
 }
 
 /// A number as somebody would write it: with an exponent where its digits would fill a line.
-pub fn short(number: f64) -> String {
+pub fn format_compact(number: f64) -> String {
     let size = number.abs();
     if size != 0.0 && size.is_finite() && !(1e-9..1e16).contains(&size) {
         format!("{number:e}")
@@ -162,18 +162,18 @@ pub fn short(number: f64) -> String {
 
 /// A closed interval, or one open at its lower end.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Range {
+pub struct AllowedRange {
     /// Lower end.
     pub min: f64,
     /// Upper end.
     pub max: f64,
     /// Whether the lower end itself is excluded.
-    pub above_min: bool,
+    pub excludes_min: bool,
 }
 
-impl fmt::Display for Range {
+impl fmt::Display for AllowedRange {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { min, max, above_min } = self;
+        let Self { min, max, excludes_min: above_min } = self;
         if *above_min { write!(out, "above {min} and at most {max}") } else { write!(out, "from {min} to {max}") }
     }
 }

@@ -3,7 +3,7 @@
 //! [`ScenarioSpec`] is the file: plain data that may hold nonsense. [`Scenario`] is a spec that was found valid; nothing
 //! else constructs one, so whoever holds a `Scenario` need not check it again.
 
-mod by_name;
+mod named_fields;
 pub mod controller_file;
 mod driver;
 pub mod file;
@@ -22,13 +22,13 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use driver::{Driver, FileDriver};
-pub use invalid::short;
-pub use invalid::{InvalidField, Problem, Range};
+pub use invalid::format_compact;
+pub use invalid::{InvalidField, FieldProblem, AllowedRange};
 pub use lane_change::LaneChange;
-pub use paper::{PAPER_STEP_S, PaperDistribution, built_in, built_in_names};
-pub use profile::{Brake, BrakeToSpeed, LeadProfile, Pieces, RampBrake, Recorded};
-pub use speed_dip::{SPEED_DIP_S, speed_dip};
-pub(crate) use validate::MOST_VEHICLE_STEPS;
+pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
+pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
+pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
+pub(crate) use validate::MAX_VEHICLE_STEPS;
 pub use validate::whole_multiple;
 pub use vehicle::{VehicleClass, VehicleSpec};
 

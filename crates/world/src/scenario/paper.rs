@@ -32,7 +32,7 @@ const MIDDLE_VEHICLES: usize = 3;
 
 /// Name and one-line description of every built-in scenario.
 #[must_use]
-pub fn built_in_names() -> [(&'static str, &'static str); 3] {
+pub fn built_in_scenario_names() -> [(&'static str, &'static str); 3] {
     [
         ("paper-1", "Emergency brake ahead, a heavy follower behind (paper, scenario 1)."),
         ("paper-2", "Emergency brake ahead, a light follower behind (paper, scenario 2)."),
@@ -42,7 +42,7 @@ pub fn built_in_names() -> [(&'static str, &'static str); 3] {
 
 /// The built-in scenario of that name.
 #[must_use]
-pub fn built_in(name: &str) -> Option<Scenario> {
+pub fn built_in_scenario(name: &str) -> Option<Scenario> {
     use VehicleClass::{Heavy, Light};
     let (middle, last) = match name {
         "paper-1" => (1, Heavy),
@@ -50,7 +50,7 @@ pub fn built_in(name: &str) -> Option<Scenario> {
         "paper-3" => (MIDDLE_VEHICLES, Heavy),
         _ => return None,
     };
-    let about = built_in_names().into_iter().find(|(known, _)| *known == name)?.1;
+    let about = built_in_scenario_names().into_iter().find(|(known, _)| *known == name)?.1;
     let spacing_m = GAP_M + Light.length_m();
     let mut vehicles = vec![VehicleSpec::new(
         Light,
@@ -101,7 +101,7 @@ impl PaperDistribution {
     /// # Errors
     /// None in practice: a normal number would have to fall 15 standard deviations from its mean.
     pub fn draw(&self, index: u64) -> Result<Scenario, InvalidField> {
-        let mut stream = random::stream(self.seed, Purpose::ScenarioDraw, index);
+        let mut stream = random::stream(self.seed, Purpose::ScenarioSampling, index);
         let follower = if stream.random::<bool>() { VehicleClass::Heavy } else { VehicleClass::Light };
         let mut normal = |mean: f64, deviation: f64| match Normal::new(mean, deviation) {
             Ok(distribution) => distribution.sample(&mut stream),

@@ -19,9 +19,9 @@ pub enum LeadProfile {
     /// Brake at a constant rate to a lower speed and hold that.
     BrakeToSpeed(BrakeToSpeed),
     /// Piecewise constant acceleration.
-    Pieces(Pieces),
+    Pieces(PiecewiseAcceleration),
     /// Follow recorded speeds.
-    Recorded(Recorded),
+    Recorded(RecordedSpeeds),
 }
 
 /// Brake at a constant rate from `onset_s` to standstill.
@@ -80,7 +80,7 @@ pub struct BrakeToSpeed {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Pieces {
+pub struct PiecewiseAcceleration {
     /// Start of each piece in seconds, increasing.
     pub from_s: Vec<f64>,
     /// Acceleration over each piece in m/s², negative for braking.
@@ -91,7 +91,7 @@ pub struct Pieces {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Recorded {
+pub struct RecordedSpeeds {
     /// Time of each sample in seconds, increasing.
     pub time_s: Vec<f64>,
     /// Speed at each sample in m/s.
@@ -125,7 +125,7 @@ impl LeadProfile {
     /// The acceleration to hold over every step that begins at `from_s` or later and ends at the second number or before,
     /// whatever the speed: so the script need not be asked at each. Nothing where it depends on the speed.
     #[must_use]
-    pub(crate) fn held_mps2(&self, from_s: f64) -> Option<[f64; 2]> {
+    pub(crate) fn constant_acceleration_until(&self, from_s: f64) -> Option<[f64; 2]> {
         match self {
             Self::ConstantSpeed => Some([0.0, f64::INFINITY]),
             Self::Brake(brake) => {
@@ -134,7 +134,7 @@ impl LeadProfile {
             }
             Self::Pieces(pieces) => {
                 let next = pieces.from_s.partition_point(|&start| start <= from_s);
-                Some([pieces.before_mps2(next), pieces.from_s.get(next).copied().unwrap_or(f64::INFINITY)])
+                Some([pieces.piece_before_mps2(next), pieces.from_s.get(next).copied().unwrap_or(f64::INFINITY)])
             }
             Self::RampBrake(_) | Self::BrakeToSpeed(_) | Self::Recorded(_) => None,
         }
@@ -223,10 +223,10 @@ impl RampBrake {
     }
 }
 
-impl Pieces {
+impl PiecewiseAcceleration {
     fn mean_mps2(&self, from_s: f64, to_s: f64) -> f64 {
         let current = self.from_s.partition_point(|&start| start <= from_s);
-        let mut piece = self.before_mps2(current);
+        let mut piece = self.piece_before_mps2(current);
         let mut mean = piece;
         for (&start, &next) in self.from_s.iter().zip(&self.accel_mps2).skip(current) {
             if start >= to_s {
@@ -239,12 +239,12 @@ impl Pieces {
     }
 
     /// Acceleration over the piece before the one that is `next`, in m/s².
-    fn before_mps2(&self, next: usize) -> f64 {
+    fn piece_before_mps2(&self, next: usize) -> f64 {
         next.checked_sub(1).and_then(|current| self.accel_mps2.get(current)).copied().unwrap_or(0.0)
     }
 }
 
-impl Recorded {
+impl RecordedSpeeds {
     /// Speed at a time, in m/s: linear between samples, the first and the last one held outside them.
     #[must_use]
     pub fn speed_at_mps(&self, at_s: f64) -> f64 {

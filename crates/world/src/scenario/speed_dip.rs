@@ -1,12 +1,12 @@
 //! The standard experiment of string stability: a leader slows down a little and recovers.
 
 use super::{
-    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, Pieces, SCENARIO_VERSION, Scenario, ScenarioSpec,
+    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec,
     Sensors, VehicleClass, VehicleSpec,
 };
 
 /// When the leader of [`speed_dip`] begins to slow down, in seconds: until then the line settles to its own time gaps.
-pub const SPEED_DIP_S: f64 = 60.0;
+pub const SPEED_DIP_ONSET_S: f64 = 60.0;
 /// The leader's speed: 72 km/h.
 const SPEED_MPS: f64 = 20.0;
 /// How much faster the others start, so that a cruise control, which does not want to go faster than it did, closes up to the
@@ -24,8 +24,8 @@ const DURATION_S: f64 = 120.0;
 /// [`InvalidField`] for no followers, too many, or a time gap that is no room.
 pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidField> {
     let class = VehicleClass::Light;
-    let pieces = Pieces {
-        from_s: DIP.iter().map(|(after_s, _)| SPEED_DIP_S + after_s).collect(),
+    let pieces = PiecewiseAcceleration {
+        from_s: DIP.iter().map(|(after_s, _)| SPEED_DIP_ONSET_S + after_s).collect(),
         accel_mps2: DIP.iter().map(|&(_, accel_mps2)| accel_mps2).collect(),
     };
     let spacing_m = class.length_m() + time_gap_s * SPEED_MPS;
@@ -63,7 +63,7 @@ mod tests {
         let leader = &trace.vehicles[0].speed_mps;
         let slowest_mps = leader.iter().copied().fold(f64::INFINITY, f64::min);
         assert!((slowest_mps - 16.0).abs() < 1e-9 && (leader.last().unwrap() - 20.0).abs() < 1e-9);
-        let found = SpeedAmplification::of(&trace, SPEED_DIP_S).unwrap();
+        let found = SpeedAmplification::of(&trace, SPEED_DIP_ONSET_S).unwrap();
         assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
         assert!(speed_dip(0, 1.5).is_err() && speed_dip(5, 0.0).is_err() && speed_dip(5, f64::NAN).is_err());
     }

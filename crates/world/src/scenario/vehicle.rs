@@ -6,7 +6,7 @@ use super::driver::Driver;
 use super::lane_change::LaneChange;
 
 /// What a vehicle of a class has unless its scenario says otherwise.
-struct Preset {
+struct ClassPreset {
     name: &'static str,
     length_m: f64,
     mass_kg: f64,
@@ -29,7 +29,7 @@ macro_rules! classes {
             /// All classes, in the order of their numbers.
             pub const ALL: &'static [Self] = &[$(Self::$class),*];
 
-            const fn preset(self) -> Preset {
+            const fn preset(self) -> ClassPreset {
                 match self {
                     $(Self::$class => $preset,)*
                 }
@@ -45,16 +45,16 @@ classes! {
     /// typical of a passenger car and of a loaded rigid truck.
     VehicleClass {
         /// Passenger car: 2 m, brakes at up to 7.5 m/s², accelerates at up to 3 m/s², 1500 kg.
-        Light: Preset { name: "light", length_m: 2.0, mass_kg: 1_500.0, max_brake_mps2: 7.5, max_accel_mps2: 3.0 };
+        Light: ClassPreset { name: "light", length_m: 2.0, mass_kg: 1_500.0, max_brake_mps2: 7.5, max_accel_mps2: 3.0 };
         /// Truck: 15 m, brakes at up to 6 m/s², accelerates at up to 1.5 m/s², 15 000 kg.
-        Heavy: Preset { name: "heavy", length_m: 15.0, mass_kg: 15_000.0, max_brake_mps2: 6.0, max_accel_mps2: 1.5 };
+        Heavy: ClassPreset { name: "heavy", length_m: 15.0, mass_kg: 15_000.0, max_brake_mps2: 6.0, max_accel_mps2: 1.5 };
     }
 }
 
 impl VehicleClass {
     /// The class of a recorded vehicle by its length, in metres: heavy from 7.5 m on, for no car is as long with room to spare.
     #[must_use]
-    pub fn of_length(length_m: f64) -> Self {
+    pub fn from_length(length_m: f64) -> Self {
         if length_m >= 7.5 { Self::Heavy } else { Self::Light }
     }
 

@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use crate::control::within;
-use crate::random::{self, Normals, Purpose, Stream};
+use crate::control::clamp_command;
+use crate::random::{self, NormalSampler, Purpose, Stream};
 use crate::scenario::Scenario;
 
 /// A vehicle's limits, delays and lag, all counted in the scenario's own steps so that they do not depend on how finely
@@ -13,15 +13,15 @@ pub(super) struct Actuator {
     pub(super) max_brake_mps2: f64,
     pub(super) max_accel_mps2: f64,
     /// None for a vehicle that responds at once and fully.
-    sluggish: Option<Box<Sluggish>>,
+    dynamics: Option<Box<ActuatorDynamics>>,
 }
 
 #[derive(Debug, Clone)]
-struct Sluggish {
+struct ActuatorDynamics {
     /// Commands on their way, oldest first.
-    pending: VecDeque<f64>,
+    pending_mps2: VecDeque<f64>,
     /// Share of the way to the command covered in a step: 1 - exp(-step / lag).
-    share: f64,
+    response_fraction: f64,
     /// Largest change of acceleration in a step, in m/s²; infinite without a jerk limit.
     max_change_mps2: f64,
     response_mps2: f64,
@@ -41,30 +41,30 @@ impl Actuator {
         let lag_s = vehicle.actuator_lag_s;
         let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some();
         let sluggish = is_sluggish.then(|| {
-            Box::new(Sluggish {
-                pending: VecDeque::from(vec![0.0; delay_steps]),
-                share: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
+            Box::new(ActuatorDynamics {
+                pending_mps2: VecDeque::from(vec![0.0; delay_steps]),
+                response_fraction: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
                 max_change_mps2: vehicle.jerk_limit_mps3.map_or(f64::INFINITY, |jerk| jerk * step_s),
                 response_mps2: 0.0,
             })
         });
-        Self { max_brake_mps2: scenario.usable_brake_mps2(index), max_accel_mps2: vehicle.max_accel_mps2(), sluggish }
+        Self { max_brake_mps2: scenario.usable_brake_mps2(index), max_accel_mps2: vehicle.max_accel_mps2(), dynamics: sluggish }
     }
 
     pub(super) fn is_immediate(&self) -> bool {
-        self.sluggish.is_none()
+        self.dynamics.is_none()
     }
 
     /// The acceleration over the next step, in m/s².
     #[inline]
     pub(super) fn respond(&mut self, command_mps2: f64) -> f64 {
-        match &mut self.sluggish {
-            None => within(command_mps2, self.max_brake_mps2, self.max_accel_mps2),
+        match &mut self.dynamics {
+            None => clamp_command(command_mps2, self.max_brake_mps2, self.max_accel_mps2),
             Some(sluggish) => {
-                sluggish.pending.push_back(command_mps2);
-                let due_mps2 = sluggish.pending.pop_front().unwrap_or(command_mps2);
-                let wanted = within(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
-                let change = sluggish.share * (wanted - sluggish.response_mps2);
+                sluggish.pending_mps2.push_back(command_mps2);
+                let due_mps2 = sluggish.pending_mps2.pop_front().unwrap_or(command_mps2);
+                let wanted = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
+                let change = sluggish.response_fraction * (wanted - sluggish.response_mps2);
                 sluggish.response_mps2 += change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
                 sluggish.response_mps2
             }
@@ -77,7 +77,7 @@ impl Actuator {
 ///
 /// Not for vehicles that stick to others: what such a group does is decided on their summed forces.
 #[inline]
-pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
+pub(super) fn add_noise_unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps: f64) -> f64 {
     let disturbed_mps2 = acceleration_mps2 + noise_mps2;
     if speed_mps == 0.0 && (acceleration_mps2 <= 0.0 || disturbed_mps2 < 0.0) { 0.0 } else { disturbed_mps2 }
 }
@@ -86,7 +86,7 @@ pub(super) fn unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, speed_mps:
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
     stream: Stream,
-    normals: Normals,
+    normals: NormalSampler,
     deviation_mps2: f64,
 }
 
@@ -96,22 +96,22 @@ impl Disturbance {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
         (deviation_mps2 > 0.0).then(|| Self {
             stream: random::stream(scenario.spec().seed, Purpose::AccelerationNoise, index as u64),
-            normals: Normals::new(),
+            normals: NormalSampler::new(),
             deviation_mps2,
         })
     }
 
     #[inline]
     pub(super) fn next_mps2(&mut self) -> f64 {
-        self.deviation_mps2 * self.normals.next(&mut self.stream)
+        self.deviation_mps2 * self.normals.sample(&mut self.stream)
     }
 
     /// The numbers of the next steps.
     #[inline]
-    pub(super) fn next_some_mps2<const N: usize>(&mut self) -> [f64; N] {
+    pub(super) fn next_n_mps2<const N: usize>(&mut self) -> [f64; N] {
         // A copy, which stays in registers.
         let mut stream = self.stream.clone();
-        let some_mps2 = std::array::from_fn(|_| self.deviation_mps2 * self.normals.next(&mut stream));
+        let some_mps2 = std::array::from_fn(|_| self.deviation_mps2 * self.normals.sample(&mut stream));
         self.stream = stream;
         some_mps2
     }

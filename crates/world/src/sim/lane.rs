@@ -5,31 +5,31 @@ use super::trace::Track;
 use crate::scenario::{LaneChange, VehicleSpec};
 
 /// Instants this close to the end of a step, in seconds, are its end: sums of steps are rounded.
-pub(crate) const SAME_INSTANT_S: f64 = 1e-9;
+pub(crate) const TIME_TOLERANCE_S: f64 = 1e-9;
 
 /// The lane of one run.
 #[derive(Debug, Clone)]
-pub(super) struct Lane {
+pub(super) struct LaneState {
     vehicles: usize,
     /// None where nobody ever enters or leaves, as in most runs.
-    changes: Option<Box<Changes>>,
+    changes: Option<Box<LaneChangeState>>,
 }
 
 #[derive(Debug, Clone)]
-struct Changes {
-    inside: Vec<bool>,
+struct LaneChangeState {
+    is_inside: Vec<bool>,
     /// From when until when each vehicle is in the lane, in seconds; from infinity on where it has not entered.
     in_lane_s: Vec<[f64; 2]>,
-    planned: Vec<Planned>,
+    planned: Vec<PlannedLaneChange>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Planned {
+struct PlannedLaneChange {
     vehicle: usize,
-    enters: bool,
-    when: LaneChange,
+    is_entry: bool,
+    trigger: LaneChange,
     /// Whether the gap was larger than the one that is waited for, when it was first looked at.
-    was_larger: Option<bool>,
+    was_gap_larger: Option<bool>,
 }
 
 /// Vehicles as bodies, front to rear: motion and length.
@@ -40,77 +40,77 @@ pub(super) struct Bodies<'a> {
 }
 
 /// A part of a step in which nobody enters or leaves.
-pub(super) struct Stint {
+pub(super) struct LaneInterval {
     /// From when, in seconds since the start of the step.
     pub(super) from_s: f64,
     /// Until when.
     pub(super) to_s: f64,
-    pub(super) lane: Lane,
+    pub(super) lane: LaneState,
 }
 
-impl Lane {
+impl LaneState {
     /// A lane in which `vehicles` are from the start and stay.
-    pub(super) fn of_all(vehicles: usize) -> Self {
+    pub(super) fn with_all(vehicles: usize) -> Self {
         Self { vehicles, changes: None }
     }
 
     /// The lane at the start of a scenario.
     pub(super) fn new(vehicles: &[VehicleSpec], bodies: Bodies<'_>) -> Self {
         if vehicles.iter().all(VehicleSpec::keeps_lane) {
-            return Self::of_all(vehicles.len());
+            return Self::with_all(vehicles.len());
         }
         let inside = vehicles.iter().map(|spec| spec.enters.is_none());
         let in_lane_s = |inside: bool| if inside { Track::THROUGHOUT_S } else { [f64::INFINITY; 2] };
         let planned = vehicles.iter().enumerate().flat_map(|(vehicle, spec)| {
             let of = |enters: bool, when: Option<LaneChange>| {
-                when.map(|when| Planned { vehicle, enters, when, was_larger: None })
+                when.map(|when| PlannedLaneChange { vehicle, is_entry: enters, trigger: when, was_gap_larger: None })
             };
             [of(false, spec.leaves), of(true, spec.enters)].into_iter().flatten()
         });
-        let mut planned: Vec<Planned> = planned.collect();
+        let mut planned: Vec<PlannedLaneChange> = planned.collect();
         // Who leaves at an instant makes room for who enters at the same one. Among each the order is that of the line.
-        planned.sort_by_key(|planned| planned.enters);
-        let changes = Changes { inside: inside.clone().collect(), in_lane_s: inside.map(in_lane_s).collect(), planned };
+        planned.sort_by_key(|planned| planned.is_entry);
+        let changes = LaneChangeState { is_inside: inside.clone().collect(), in_lane_s: inside.map(in_lane_s).collect(), planned };
         Self { vehicles: vehicles.len(), changes: Some(Box::new(changes)) }.after(bodies, 0.0, 0.0)
     }
 
     /// Whether everybody is in the lane throughout.
     #[inline]
-    pub(super) fn is_plain(&self) -> bool {
+    pub(super) fn is_constant(&self) -> bool {
         self.changes.is_none()
     }
 
     /// Whether nobody enters or leaves any more.
     #[inline]
-    pub(super) fn is_settled(&self) -> bool {
+    pub(super) fn has_no_pending_changes(&self) -> bool {
         self.changes.as_ref().is_none_or(|changes| changes.planned.is_empty())
     }
 
     /// Whether a vehicle is in the lane.
     #[inline]
-    pub(super) fn holds(&self, vehicle: usize) -> bool {
+    pub(super) fn contains(&self, vehicle: usize) -> bool {
         match &self.changes {
             None => vehicle < self.vehicles,
-            Some(changes) => changes.inside.get(vehicle).is_some_and(|&inside| inside),
+            Some(changes) => changes.is_inside.get(vehicle).is_some_and(|&inside| inside),
         }
     }
 
     /// Who is ahead of a vehicle in the lane; none for its first, and for a vehicle beside it.
     pub(super) fn ahead(&self, vehicle: usize) -> Option<usize> {
-        self.before(vehicle).filter(|_| self.holds(vehicle))
+        self.nearest_ahead(vehicle).filter(|_| self.contains(vehicle))
     }
 
     /// Who is behind a vehicle in the lane; none for its last, and for a vehicle beside it.
     pub(super) fn behind(&self, vehicle: usize) -> Option<usize> {
-        self.after_in_list(vehicle).filter(|_| self.holds(vehicle))
+        self.nearest_behind(vehicle).filter(|_| self.contains(vehicle))
     }
 
-    fn before(&self, vehicle: usize) -> Option<usize> {
-        (0..vehicle).rev().find(|&front| self.holds(front))
+    fn nearest_ahead(&self, vehicle: usize) -> Option<usize> {
+        (0..vehicle).rev().find(|&front| self.contains(front))
     }
 
-    fn after_in_list(&self, vehicle: usize) -> Option<usize> {
-        (vehicle + 1..self.vehicles).find(|&rear| self.holds(rear))
+    fn nearest_behind(&self, vehicle: usize) -> Option<usize> {
+        (vehicle + 1..self.vehicles).find(|&rear| self.contains(rear))
     }
 
     /// From when until when a vehicle was in the lane, in seconds.
@@ -120,27 +120,27 @@ impl Lane {
     }
 
     /// A vehicle that has touched another one stays where it is.
-    pub(super) fn keep(&mut self, vehicle: usize) {
+    pub(super) fn cancel_changes(&mut self, vehicle: usize) {
         if let Some(changes) = &mut self.changes {
             changes.planned.retain(|planned| planned.vehicle != vehicle);
         }
     }
 
     /// The parts of the next `within_s` seconds from `now_s` on, in order; nobody touches meanwhile.
-    pub(super) fn stints(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Vec<Stint> {
+    pub(super) fn intervals(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Vec<LaneInterval> {
         let (mut lane, mut from_s, mut stints) = (self.clone(), 0.0, Vec::new());
         while let Some((to_s, places)) = lane.next_changes(bodies, now_s, from_s, within_s) {
-            stints.push(Stint { from_s, to_s, lane: lane.clone() });
-            lane.change(&places, bodies, now_s, to_s);
+            stints.push(LaneInterval { from_s, to_s, lane: lane.clone() });
+            lane.apply_changes(&places, bodies, now_s, to_s);
             from_s = to_s;
         }
-        stints.push(Stint { from_s, to_s: within_s, lane });
+        stints.push(LaneInterval { from_s, to_s: within_s, lane });
         stints
     }
 
     /// The lane after the next `within_s` seconds.
     pub(super) fn after(&self, bodies: Bodies<'_>, now_s: f64, within_s: f64) -> Self {
-        self.stints(bodies, now_s, within_s).pop().map_or_else(|| self.clone(), |last| last.lane)
+        self.intervals(bodies, now_s, within_s).pop().map_or_else(|| self.clone(), |last| last.lane)
     }
 
     /// The next changes between `from_s` and `within_s` seconds from now, all of one instant: when, and their places among what is
@@ -156,11 +156,11 @@ impl Lane {
         within_s: f64,
     ) -> Option<(f64, Vec<usize>)> {
         let span_s = [from_s, within_s];
-        let by_clock = self.first_of(true, bodies, now_s, span_s);
+        let by_clock = self.earliest_changes(true, bodies, now_s, span_s);
         if by_clock.as_ref().is_some_and(|(in_s, _)| *in_s <= from_s) {
             return by_clock;
         }
-        let by_distance = self.first_of(false, bodies, now_s, span_s);
+        let by_distance = self.earliest_changes(false, bodies, now_s, span_s);
         match (by_clock, by_distance) {
             (Some(clock), Some(distance)) if distance.0 < clock.0 => Some(distance),
             (clock, distance) => clock.or(distance),
@@ -168,7 +168,7 @@ impl Lane {
     }
 
     /// Those of what is planned, by the clock or by a distance, that come first, and when.
-    fn first_of(
+    fn earliest_changes(
         &mut self,
         by_clock: bool,
         bodies: Bodies<'_>,
@@ -177,11 +177,11 @@ impl Lane {
     ) -> Option<(f64, Vec<usize>)> {
         let mut first: Option<(f64, Vec<usize>)> = None;
         for place in 0..self.changes.as_ref().map_or(0, |changes| changes.planned.len()) {
-            let when = self.changes.as_ref()?.planned.get(place)?.when;
+            let when = self.changes.as_ref()?.planned.get(place)?.trigger;
             if matches!(when, LaneChange::At(_)) != by_clock {
                 continue;
             }
-            let Some(in_s) = self.moment_s(place, bodies, now_s, span_s) else { continue };
+            let Some(in_s) = self.change_time_s(place, bodies, now_s, span_s) else { continue };
             match &mut first {
                 Some((first_s, places)) if in_s == *first_s => places.push(place),
                 Some((first_s, _)) if in_s > *first_s => {}
@@ -192,19 +192,19 @@ impl Lane {
     }
 
     /// When what is planned comes, between `from_s` and `to_s` seconds from now.
-    fn moment_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
+    fn change_time_s(&mut self, place: usize, bodies: Bodies<'_>, now_s: f64, span_s: [f64; 2]) -> Option<f64> {
         let [from_s, to_s] = span_s;
-        let Planned { vehicle, enters, when, was_larger } = *self.changes.as_ref()?.planned.get(place)?;
-        if enters == self.holds(vehicle) {
+        let PlannedLaneChange { vehicle, is_entry: enters, trigger: when, was_gap_larger: was_larger } = *self.changes.as_ref()?.planned.get(place)?;
+        if enters == self.contains(vehicle) {
             return None;
         }
         if let LaneChange::At(time_s) = when {
             let in_s = time_s - now_s;
-            return (in_s <= to_s + SAME_INSTANT_S).then(|| in_s.clamp(from_s, to_s));
+            return (in_s <= to_s + TIME_TOLERANCE_S).then(|| in_s.clamp(from_s, to_s));
         }
         let (front, rear) = match enters {
-            true => (vehicle, self.after_in_list(vehicle)?),
-            false => (self.before(vehicle)?, vehicle),
+            true => (vehicle, self.nearest_behind(vehicle)?),
+            false => (self.nearest_ahead(vehicle)?, vehicle),
         };
         let (ahead, behind) = (bodies.motion[front].after(from_s), bodies.motion[rear].after(from_s));
         let length_m = bodies.length_m[front];
@@ -217,7 +217,7 @@ impl Lane {
             LaneChange::Gap(waited_m) => {
                 let beyond_m = gap(ahead, behind)[0] - waited_m;
                 let larger = was_larger.unwrap_or(beyond_m > 0.0);
-                self.changes.as_mut()?.planned.get_mut(place)?.was_larger = Some(larger);
+                self.changes.as_mut()?.planned.get_mut(place)?.was_gap_larger = Some(larger);
                 let sign = if larger { 1.0 } else { -1.0 };
                 let size = |front, rear| {
                     let [gap_m, rate_mps, rate_mps2] = gap(front, rear);
@@ -239,21 +239,21 @@ impl Lane {
 
     /// Does what is planned at places in increasing order, `in_s` seconds from now: those who leave before those who enter, and these
     /// front to rear. Who is to enter and finds no room stays beside.
-    fn change(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
+    fn apply_changes(&mut self, places: &[usize], bodies: Bodies<'_>, now_s: f64, in_s: f64) {
         let Some(changes) = &mut self.changes else { return };
-        let due: Vec<Planned> = places.iter().filter_map(|&place| changes.planned.get(place).copied()).collect();
+        let due: Vec<PlannedLaneChange> = places.iter().filter_map(|&place| changes.planned.get(place).copied()).collect();
         for place in places.iter().rev() {
             changes.planned.remove(*place);
         }
-        for Planned { vehicle, enters, when, .. } in due {
+        for PlannedLaneChange { vehicle, is_entry: enters, trigger: when, .. } in due {
             let at_s = match when {
-                LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= SAME_INSTANT_S => time_s,
+                LaneChange::At(time_s) if (time_s - now_s - in_s).abs() <= TIME_TOLERANCE_S => time_s,
                 _ => now_s + in_s,
             };
             if enters && !self.has_room(vehicle, bodies, in_s) {
-                self.keep(vehicle);
+                self.cancel_changes(vehicle);
             } else if let Some(changes) = &mut self.changes {
-                changes.inside[vehicle] = enters;
+                changes.is_inside[vehicle] = enters;
                 changes.in_lane_s[vehicle][usize::from(!enters)] = at_s;
             }
         }
@@ -263,8 +263,8 @@ impl Lane {
     fn has_room(&self, vehicle: usize, bodies: Bodies<'_>, in_s: f64) -> bool {
         let position_m = |vehicle: usize| bodies.motion[vehicle].after(in_s).position_m;
         let is_clear = |front: usize, rear: usize| position_m(front) - bodies.length_m[front] > position_m(rear);
-        self.before(vehicle).is_none_or(|front| is_clear(front, vehicle))
-            && self.after_in_list(vehicle).is_none_or(|rear| is_clear(vehicle, rear))
+        self.nearest_ahead(vehicle).is_none_or(|front| is_clear(front, vehicle))
+            && self.nearest_behind(vehicle).is_none_or(|rear| is_clear(vehicle, rear))
     }
 }
 

@@ -14,18 +14,18 @@ mod shielding;
 mod stepper;
 mod trace;
 
-pub(crate) use lane::SAME_INSTANT_S;
+pub(crate) use lane::TIME_TOLERANCE_S;
 pub use lockstep::simulate_batch;
 pub use motion::Motion;
 pub(crate) use motion::closest_gap_m;
 pub use named::{NamedController, RefusedController, UnknownController};
-pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, Simulated, Unanswered, VehicleSummary};
+pub use outcome::{AfterContact, Contact, FailedController, Impact, Outcome, SimulationResult, FailedControllerRuns, VehicleSummary};
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
 pub use run::{Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal};
-pub use stepper::{Moment, Stepper};
-pub use trace::{Pair, Trace, Track};
+pub use stepper::{StepView, Stepper};
+pub use trace::{VehiclePair, Trace, Track};
 
-pub use crate::control::{ControllerKind, Shielded};
+pub use crate::control::{ControllerKind, ShieldedSource};

@@ -26,14 +26,14 @@ impl Motion {
     /// The motion from `from_s` on, up to the next change of the piece it is in: no acceleration once the vehicle stands.
     ///
     /// Whether it stands is asked of the time, since at the very instant of the stop rounding can leave a speed.
-    fn from(self, from_s: f64) -> Self {
+    fn piece_from(self, from_s: f64) -> Self {
         let later = self.after(from_s);
-        if from_s < self.stops_after_s() { later } else { Self { speed_mps: 0.0, acceleration_mps2: 0.0, ..later } }
+        if from_s < self.stopping_time_s() { later } else { Self { speed_mps: 0.0, acceleration_mps2: 0.0, ..later } }
     }
 
     /// When the vehicle comes to rest, in seconds from now; infinite if it does not.
     #[must_use]
-    pub(crate) fn stops_after_s(self) -> f64 {
+    pub(crate) fn stopping_time_s(self) -> f64 {
         if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
     }
 }
@@ -49,13 +49,13 @@ pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
 ///
 /// The vehicle ahead never reverses, so the gap shrinks by at most what the one behind covers at its higher end speed.
 #[inline]
-pub(super) fn needs_care(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
-    may_touch(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
+pub(super) fn needs_contact_check(gap_m: f64, rear_mps: [f64; 2], closing_mps: [f64; 2], dt: f64) -> bool {
+    may_collide(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
 }
 
 /// Whether a step needs [`first_contact`], from the speeds of the vehicle behind at its start and its end.
 #[inline]
-pub(super) fn may_touch(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
+pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
     gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0
 }
 
@@ -84,8 +84,8 @@ pub(super) fn first_zero(
     if size(front, rear)[0] <= 0.0 {
         return Some(0.0);
     }
-    for [from_s, to_s] in pieces(front, rear, dt_s) {
-        let [value, rate, second] = size(front.from(from_s), rear.from(from_s));
+    for [from_s, to_s] in split_at_stops(front, rear, dt_s) {
+        let [value, rate, second] = size(front.piece_from(from_s), rear.piece_from(from_s));
         let root_s = first_root(value, rate, second);
         if let Some(root_s) = root_s.filter(|root_s| from_s + root_s <= to_s) {
             return Some((from_s + root_s).min(dt_s));
@@ -100,16 +100,16 @@ pub(super) fn first_zero(
 /// The smallest gap between two vehicles at any instant after now and up to `dt_s`, in metres.
 #[must_use]
 pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
-    closest_gap_until([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
+    closest_gap_given_ends_m([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
 }
 
 /// The same where it is known how both vehicles, front and rear, move at the end.
 #[inline]
-pub(super) fn closest_gap_until([front, rear]: [Motion; 2], end: [Motion; 2], front_length_m: f64, dt_s: f64) -> f64 {
+pub(super) fn closest_gap_given_ends_m([front, rear]: [Motion; 2], end: [Motion; 2], front_length_m: f64, dt_s: f64) -> f64 {
     let at_end = end[0].position_m - front_length_m - end[1].position_m;
     // At the end both may stand, the rear one first: then the gap was smallest before.
     if rear.speed_mps - front.speed_mps > 0.0 && end[1].speed_mps - end[0].speed_mps <= 0.0 {
-        at_end.min(gap_at_turn(front, rear, front_length_m, dt_s).unwrap_or(at_end))
+        at_end.min(gap_at_equal_speed_m(front, rear, front_length_m, dt_s).unwrap_or(at_end))
     } else {
         at_end
     }
@@ -117,11 +117,11 @@ pub(super) fn closest_gap_until([front, rear]: [Motion; 2], end: [Motion; 2], fr
 
 /// The gap where two vehicles that close in at first stop doing so, in metres.
 #[inline(never)]
-fn gap_at_turn(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
+fn gap_at_equal_speed_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_at = |t: f64| front.after(t).position_m - front_length_m - rear.after(t).position_m;
     let closing_at = |t: f64| rear.after(t).speed_mps - front.after(t).speed_mps;
     // The closing speed is piecewise linear and continuous: where it changes sign the gap is smallest.
-    for [from_s, to_s] in pieces(front, rear, dt_s) {
+    for [from_s, to_s] in split_at_stops(front, rear, dt_s) {
         let (before, after) = (closing_at(from_s), closing_at(to_s));
         if before > 0.0 && after <= 0.0 {
             let turn_s = from_s + (to_s - from_s) * before / (before - after);
@@ -132,8 +132,8 @@ fn gap_at_turn(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> O
 }
 
 /// `[0, dt]` cut where a vehicle stops.
-fn pieces(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
-    let (a, b) = (front.stops_after_s().min(dt), rear.stops_after_s().min(dt));
+fn split_at_stops(front: Motion, rear: Motion, dt: f64) -> [[f64; 2]; 3] {
+    let (a, b) = (front.stopping_time_s().min(dt), rear.stopping_time_s().min(dt));
     let (first, second) = (a.min(b), a.max(b));
     [[0.0, first], [first, second], [second, dt]]
 }

@@ -5,13 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::control::{
-    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NamedBy,
-    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, Shielded, StartRefused,
+    BuiltIn, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, ErrorBounds, InvalidSetting, NameOrigin,
+    ProcessController, ProcessSetup, RetrainedPolicy, ShieldSettings, ShieldedSource, StartRefusal,
 };
 use crate::network::NetworkFile;
 use crate::policy::{Policy, PolicyError};
-use crate::scenario::controller_file::{self, ControllerFileError, is_ordinary};
-use crate::scenario::file::{MOST_TOML_BYTES, line_in_toml, read_at_most};
+use crate::scenario::controller_file::{self, ControllerFileError, is_regular_file};
+use crate::scenario::file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 
 /// A controller to put under test, and what it is called.
 ///
@@ -32,10 +32,10 @@ pub struct NamedController {
 }
 
 /// Most shields before one controller: one within another may assume another vehicle ahead, and a name has an end.
-const MOST_SHIELDS: usize = 8;
+const MAX_SHIELDS: usize = 8;
 
 /// What stands before a command.
-const EXEC: &str = "exec:";
+const EXEC_PREFIX: &str = "exec:";
 
 /// Why a name stands for no controller.
 #[derive(Debug, thiserror::Error)]
@@ -43,18 +43,18 @@ const EXEC: &str = "exec:";
 pub enum UnknownController {
     /// Neither a built-in name nor a file.
     #[error(
-        "there is no controller `{name}`: there are {known}, files of policies, networks and controllers, \
+        "there is no controller `{name}`: there are {built_in_names}, files of policies, networks and controllers, \
          commands after `exec:`, and `shield:` before any of them"
     )]
-    Name {
+    UnknownName {
         /// What was asked for.
         name: String,
         /// Built-in names.
-        known: String,
+        built_in_names: String,
     },
     /// A file's name without its ending.
     #[error("there is no controller `{name}`; did you mean the file `{file}`?")]
-    Ending {
+    MissingExtension {
         /// What was asked for.
         name: String,
         /// The file that is there.
@@ -65,16 +65,16 @@ pub enum UnknownController {
         "`{setting}` is no setting of a shield: there are ahead, gap-error, speed-error and ahead-speed-error, each with a \
          number, as in `shield,ahead=7.5,gap-error=0.2:policy`"
     )]
-    Shield {
+    ShieldSetting {
         /// What was found.
         setting: String,
     },
     /// More shields than anybody needs.
-    #[error("at most {MOST_SHIELDS} shields may stand before a controller")]
-    Shields,
+    #[error("at most {MAX_SHIELDS} shields may stand before a controller")]
+    TooManyShields,
     /// A command that is no list of words.
     #[error("`{command}` is no command: a quotation mark or a backslash has nothing after it")]
-    Command {
+    CommandSyntax {
         /// What was found.
         command: String,
     },
@@ -83,7 +83,7 @@ pub enum UnknownController {
         "{path} is no controller, but {what}: a program is asked as `exec:{command}`, or by a controller file, F.toml, with \
          `command` (docs/controllers.md){hint}"
     )]
-    Program {
+    NotAController {
         /// The file.
         path: String,
         /// What it looks like.
@@ -94,16 +94,16 @@ pub enum UnknownController {
         hint: &'static str,
     },
     /// A process that cannot be started, or does not introduce itself.
-    #[error("{place}{failure}")]
+    #[error("{location}{failure}")]
     NotStarted {
         /// Where it is said, if that is a file: with its line and field.
-        place: String,
+        location: String,
         /// Why not.
         failure: ControllerFailure,
     },
     /// A program that the user did not name.
     #[error(transparent)]
-    StartRefused(#[from] StartRefused),
+    StartRefused(#[from] StartRefusal),
     /// A setting of a built-in controller that is wrong.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
@@ -158,13 +158,13 @@ impl NamedController {
     /// [`UnknownController::StartRefused`] for a process or an FMU, unless [`allow_external`](crate::control::allow_external)
     /// was called.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        Self::behind(MOST_SHIELDS, name, folder, NamedBy::File)
+        Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::File)
     }
 
     /// Finds a built-in controller, behind shields or not. Reads no file and starts nothing.
     #[must_use]
     pub fn find_built_in(name: &str) -> Option<Self> {
-        ControllerSpec::parse(without_shields(name))?.ok()?;
+        ControllerSpec::parse(strip_shields(name))?.ok()?;
         Self::find(name, Path::new("")).ok()
     }
 
@@ -174,7 +174,7 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController`], as for [`Self::find`].
     pub fn find_for_user(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        Self::behind(MOST_SHIELDS, name, folder, NamedBy::User)
+        Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::User)
     }
 
     /// Finds the controller that the user names ([`Self::find_for_user`]), and starts its program once as a trial: a missing
@@ -198,18 +198,18 @@ impl NamedController {
             _ => "command",
         };
         let place = || match self.kind.file().is_some_and(is_toml) {
-            true => format!("{}{field}: ", self.place_of(field)),
-            false => self.place_of(field),
+            true => format!("{}{field}: ", self.field_location(field)),
+            false => self.field_location(field),
         };
-        self.kind.try_start().map_err(|failure| UnknownController::NotStarted { place: place(), failure })
+        self.kind.try_start().map_err(|failure| UnknownController::NotStarted { location: place(), failure })
     }
 
     /// Returns file and line of a field, as a prefix of a message (`acc.toml:12: `); empty without a file that states a mapping or
     /// a command.
     #[must_use]
-    pub fn place_of(&self, field: &str) -> String {
+    pub fn field_location(&self, field: &str) -> String {
         let Some(path) = self.kind.file() else { return String::new() };
-        match read_at_most(path, MOST_TOML_BYTES) {
+        match read_at_most(path, MAX_TOML_BYTES) {
             Ok(text) if is_toml(path) => format!("{}:{}: ", path.display(), line_in_toml(&text, field)),
             _ => format!("{}: ", path.display()),
         }
@@ -219,7 +219,7 @@ impl NamedController {
     ///
     /// # Errors
     /// [`RefusedController`] if it was asked the same twice in some run, and answered otherwise, or cannot be started any more.
-    pub fn not_refused(&self) -> Result<(), RefusedController> {
+    pub fn ensure_trusted(&self) -> Result<(), RefusedController> {
         match self.kind.refusal() {
             None => Ok(()),
             Some(failure) => Err(RefusedController { controller: self.name.clone(), failure }),
@@ -227,7 +227,7 @@ impl NamedController {
     }
 
     /// The controller of that name, which says at most so many shields.
-    fn behind(shields: usize, name: &str, folder: &Path, named_by: NamedBy) -> Result<Self, UnknownController> {
+    fn parse_nested(shields: usize, name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
         // Its name in version 0.1.0.
         let name = &match name.strip_prefix("hardened") {
             Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
@@ -236,31 +236,31 @@ impl NamedController {
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
         }
-        if let Some(command) = name.strip_prefix(EXEC) {
-            let words = words(command).ok_or_else(|| UnknownController::Command { command: command.to_owned() })?;
+        if let Some(command) = name.strip_prefix(EXEC_PREFIX) {
+            let words = split_command(command).ok_or_else(|| UnknownController::CommandSyntax { command: command.to_owned() })?;
             let permission = named_by.permission(|| format!("`{name}`"))?;
             let process = ProcessController::new(ProcessSetup::new(words, folder), permission)
                 .map_err(ControllerFileError::Command)?;
             return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
         }
         if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
-            let settings = shield_settings(settings)?;
-            let left = shields.checked_sub(1).ok_or(UnknownController::Shields)?;
-            let Self { name: inner_name, kind: controller } = Self::behind(left, inner, folder, named_by)?;
+            let settings = parse_shield_settings(settings)?;
+            let left = shields.checked_sub(1).ok_or(UnknownController::TooManyShields)?;
+            let Self { name: inner_name, kind: controller } = Self::parse_nested(left, inner, folder, named_by)?;
             let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
-            return Ok(Self { name, kind: Shielded { controller, settings }.into() });
+            return Ok(Self { name, kind: ShieldedSource { controller, settings }.into() });
         }
         let place = folder.join(name);
-        let is_network = NetworkFile::is_one(&place);
-        if let Some(program) = program(name, folder).filter(|_| !is_network) {
+        let is_network = NetworkFile::is_network(&place);
+        if let Some(program) = not_a_controller(name, folder).filter(|_| !is_network) {
             return Err(program);
         }
         if Path::new(name).extension().is_none() && !is_network {
-            if let Some(file) = file_like(&place, name) {
-                return Err(UnknownController::Ending { name: name.to_owned(), file });
+            if let Some(file) = file_with_extension(&place, name) {
+                return Err(UnknownController::MissingExtension { name: name.to_owned(), file });
             }
-            let known: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
-            return Err(UnknownController::Name { name: name.to_owned(), known: known.join(", ") });
+            let known: Vec<_> = ControllerSpec::all().iter().map(ControllerSpec::name).collect();
+            return Err(UnknownController::UnknownName { name: name.to_owned(), built_in_names: known.join(", ") });
         }
         Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
     }
@@ -268,14 +268,14 @@ impl NamedController {
     /// The identity, where name and policy do not say what drives: of a controller from outside, and of one that goes by
     /// another name than its own.
     #[must_use]
-    pub fn identity_beside_name(&self) -> Option<String> {
-        if is_named(&self.kind, &self.name) { None } else { self.kind.identity() }
+    pub fn disambiguating_hash(&self) -> Option<String> {
+        if is_identified_by_name(&self.kind, &self.name) { None } else { self.kind.identity() }
     }
 
     /// What counts as a failure of it, in words: only what comes from outside can fail otherwise than by contact.
     #[must_use]
-    pub fn failure(&self) -> &'static str {
-        if self.kind.is_from_outside() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
+    pub fn failure_description(&self) -> &'static str {
+        if self.kind.is_external() { "vehicles touch, or a controller fails" } else { "vehicles touch" }
     }
 
     /// The policy, if it is one of crumple's own.
@@ -291,7 +291,7 @@ fn is_toml(path: &Path) -> bool {
 }
 
 /// Returns the name of the controller behind all shields.
-fn without_shields(name: &str) -> &str {
+fn strip_shields(name: &str) -> &str {
     let mut inner = name;
     while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
         inner = rest;
@@ -300,21 +300,21 @@ fn without_shields(name: &str) -> &str {
 }
 
 /// The file that a name without its ending may mean.
-fn file_like(place: &Path, name: &str) -> Option<String> {
-    const ENDINGS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
+fn file_with_extension(place: &Path, name: &str) -> Option<String> {
+    const EXTENSIONS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
     let is_there = |ending: &&str| place.with_extension(ending).is_file();
-    ENDINGS.into_iter().find(is_there).map(|ending| format!("{name}.{ending}"))
+    EXTENSIONS.into_iter().find(is_there).map(|ending| format!("{name}.{ending}"))
 }
 
 /// Whether a name stands for what drives; of a policy, beside its digest.
-fn is_named(kind: &ControllerKind, name: &str) -> bool {
+fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
     match kind {
-        ControllerKind::BuiltIn(spec) => name == spec.words(),
+        ControllerKind::BuiltIn(spec) => name == spec.to_arg(),
         ControllerKind::Policy(_) => true,
         ControllerKind::Shielded(shielded) => {
             name.strip_prefix("shield").and_then(|rest| rest.split_once(':')).is_some_and(|(settings, inner)| {
-                shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
-                    && is_named(&shielded.controller, inner)
+                parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
+                    && is_identified_by_name(&shielded.controller, inner)
             })
         }
         ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
@@ -322,13 +322,13 @@ fn is_named(kind: &ControllerKind, name: &str) -> bool {
 }
 
 /// What to say of a name that is that of a program, or of something that one is made of.
-fn program(name: &str, folder: &Path) -> Option<UnknownController> {
+fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     const LIBRARIES: [&str; 3] = ["so", "dll", "dylib"];
     const SOURCES: [&str; 10] = ["c", "h", "cc", "cpp", "cxx", "rs", "py", "m", "java", "sh"];
     let path = folder.join(name);
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     let is_one_of = |kinds: &[&str]| extension.as_deref().is_some_and(|own| kinds.contains(&own));
-    let (what, hint) = if !is_ordinary(&path) {
+    let (what, hint) = if !is_regular_file(&path) {
         return None;
     } else if is_one_of(&LIBRARIES) {
         ("a shared library", "; a library as an FMU, F.fmu")
@@ -342,20 +342,20 @@ fn program(name: &str, folder: &Path) -> Option<UnknownController> {
     let command = match extension.as_deref() {
         Some("py") => format!("python3 {name}"),
         // A script is run as it is; of a source or a library, what is made of it.
-        Some("sh") => in_folder(Path::new(name)),
-        _ => in_folder(&Path::new(name).with_extension("")),
+        Some("sh") => command_path(Path::new(name)),
+        _ => command_path(&Path::new(name).with_extension("")),
     };
-    Some(UnknownController::Program { path: path.display().to_string(), what, command, hint })
+    Some(UnknownController::NotAController { path: path.display().to_string(), what, command, hint })
 }
 
 /// A program as a command names it: one in this folder begins with `./`.
-fn in_folder(program: &Path) -> String {
+fn command_path(program: &Path) -> String {
     let name = program.display();
     if program.components().count() > 1 { name.to_string() } else { format!("./{name}") }
 }
 
 /// The words of a command as a shell would split them; none for one that does not end.
-fn words(command: &str) -> Option<Vec<String>> {
+fn split_command(command: &str) -> Option<Vec<String>> {
     #[cfg(feature = "process")]
     return shlex::split(command);
     // Where no process starts, it is one word as well.
@@ -364,10 +364,10 @@ fn words(command: &str) -> Option<Vec<String>> {
 }
 
 /// Settings as they stand between `shield` and the colon: nothing, or each with a comma before it.
-fn shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
+fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController> {
     let mut settings = ShieldSettings::default();
     let mut parts = text.split(',');
-    let unknown = |setting: &str| UnknownController::Shield { setting: setting.to_owned() };
+    let unknown = |setting: &str| UnknownController::ShieldSetting { setting: setting.to_owned() };
     if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
         return Err(unknown(before));
     }
@@ -397,6 +397,6 @@ impl fmt::Debug for NamedController {
 
 impl From<ControllerSpec> for NamedController {
     fn from(spec: ControllerSpec) -> Self {
-        Self { name: spec.words(), kind: ControllerKind::BuiltIn(spec) }
+        Self { name: spec.to_arg(), kind: ControllerKind::BuiltIn(spec) }
     }
 }

@@ -50,21 +50,21 @@ impl fmt::Display for FailedController {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Unanswered {
+pub struct FailedControllerRuns {
     /// How many.
     pub runs: u64,
     /// Why the first of them ended, and when.
     pub because: String,
 }
 
-impl Unanswered {
+impl FailedControllerRuns {
     /// One more run, after those that are known.
-    pub fn count(known: &mut Option<Self>, failed: &FailedController) {
-        Self::join(known, Some(Self { runs: 1, because: failed.because() }));
+    pub fn add(known: &mut Option<Self>, failed: &FailedController) {
+        Self::merge(known, Some(Self { runs: 1, because: failed.reason() }));
     }
 
     /// So many more, which come after those that are known.
-    pub fn join(known: &mut Option<Self>, later: Option<Self>) {
+    pub fn merge(known: &mut Option<Self>, later: Option<Self>) {
         match (known.as_mut(), later) {
             (Some(known), Some(later)) => known.runs = known.runs.saturating_add(later.runs),
             (None, later) => *known = later,
@@ -74,7 +74,7 @@ impl Unanswered {
 
     /// What there is to say of it, of so many runs in all.
     #[must_use]
-    pub fn words(&self, of: u64) -> String {
+    pub fn describe(&self, of: u64) -> String {
         format!("gave no answer in {} of {of}: {}", self.runs, self.because)
     }
 }
@@ -82,7 +82,7 @@ impl Unanswered {
 impl FailedController {
     /// Why and when it failed.
     #[must_use]
-    pub fn because(&self) -> String {
+    pub fn reason(&self) -> String {
         format!("at {:.2} s, {}", self.time_s, self.failure)
     }
 }
@@ -99,7 +99,7 @@ impl Outcome {
 
     /// The controller that failed, if one did.
     #[must_use]
-    pub fn failed(&self) -> Option<&FailedController> {
+    pub fn failed_controller(&self) -> Option<&FailedController> {
         match self {
             Self::NoCollision | Self::Collision(_) => None,
             Self::ControllerFailed(failed) => Some(failed),
@@ -195,7 +195,7 @@ pub struct VehicleSummary {
 
 /// The result of one run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Simulated {
+pub struct SimulationResult {
     /// Whether and how vehicles first touched.
     pub outcome: Outcome,
     /// Every impact in order of time; at most one unless the run goes on after contact.
@@ -208,7 +208,7 @@ pub struct Simulated {
     pub trace: Option<super::Trace>,
 }
 
-impl Simulated {
+impl SimulationResult {
     /// How many vehicles were involved in some impact.
     #[must_use]
     pub fn vehicles_involved(&self) -> usize {

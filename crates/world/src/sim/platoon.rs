@@ -1,30 +1,30 @@
 //! A line of vehicles as bodies: how they move together through one step, and what happens when they touch.
 
-use super::lane::{Bodies, Lane, Stint};
-use super::motion::{Motion, closest_gap_until, first_contact, needs_care};
+use super::lane::{Bodies, LaneState, LaneInterval};
+use super::motion::{Motion, closest_gap_given_ends_m, first_contact, needs_contact_check};
 use super::{AfterContact, Contact, Impact};
 
 /// Lines of at most so many vehicles are moved at once.
-const SHORT_LINE: usize = 8;
+const MAX_SHORT_LINE_VEHICLES: usize = 8;
 
 /// The bodies of one run.
 ///
 /// After an impact vehicles stick together: perfectly inelastic, by mass. A group that sticks together moves as one body
 /// under the sum of its members' forces, so its acceleration is the mean of theirs weighted by mass.
 #[derive(Debug, Clone)]
-pub(super) struct Platoon {
+pub(super) struct PlatoonState {
     pub(super) motion: Vec<Motion>,
     pub(super) length_m: Vec<f64>,
     pub(super) mass_kg: Vec<f64>,
     /// Who is in the lane; whoever is beside it touches nobody.
-    pub(super) lane: Lane,
+    pub(super) lane: LaneState,
     /// Whether each vehicle sticks to the one ahead of it in the lane.
-    pub(super) sticks: Vec<bool>,
+    pub(super) locked_to_front: Vec<bool>,
     /// Smallest gap ahead of each vehicle so far, in metres; infinite for the leader.
     pub(super) min_gap_m: Vec<f64>,
 }
 
-impl Platoon {
+impl PlatoonState {
     /// Bumper gap ahead of a vehicle, in metres; none if nobody is ahead of it in the lane.
     pub(super) fn gap_m(&self, rear: usize) -> Option<f64> {
         self.lane.ahead(rear).map(|front| self.gap_between_m(front, rear))
@@ -35,13 +35,13 @@ impl Platoon {
     }
 
     /// Whether a vehicle sticks to another one.
-    pub(super) fn is_stuck(&self, index: usize) -> bool {
-        self.sticks.get(index).is_some_and(|&sticks| sticks)
-            || self.lane.behind(index).is_some_and(|rear| self.sticks[rear])
+    pub(super) fn is_locked(&self, index: usize) -> bool {
+        self.locked_to_front.get(index).is_some_and(|&sticks| sticks)
+            || self.lane.behind(index).is_some_and(|rear| self.locked_to_front[rear])
     }
 
     /// Notes the gaps at this instant.
-    pub(super) fn note_gaps(&mut self) {
+    pub(super) fn track_gaps(&mut self) {
         for rear in 0..self.motion.len() {
             if let Some(gap_m) = self.gap_m(rear) {
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(gap_m);
@@ -60,14 +60,14 @@ impl Platoon {
         after_contact: AfterContact,
         impacts: &mut Vec<Impact>,
     ) -> f64 {
-        if self.glide(dt_s) {
+        if self.advance_contact_free(dt_s) {
             return dt_s;
         }
         let mut done_s = 0.0;
-        let mut stints = self.stints(from_s, dt_s);
+        let mut stints = self.lane_intervals(from_s, dt_s);
         while let Some((in_s, [front, rear])) = self.next_contact(stints.as_deref(), dt_s - done_s) {
-            let until = self.stints(from_s + done_s, in_s);
-            self.drift(until, in_s);
+            let until = self.lane_intervals(from_s + done_s, in_s);
+            self.advance_and_track_gaps(until, in_s);
             done_s += in_s;
             let impact = self.impact(from_s + done_s, front, rear);
             self.min_gap_m[rear] = 0.0;
@@ -77,32 +77,32 @@ impl Platoon {
             if after_contact == AfterContact::Stop {
                 return done_s;
             }
-            self.sticks[rear] = true;
+            self.locked_to_front[rear] = true;
             for vehicle in involved {
                 self.motion[vehicle].speed_mps = common_mps;
-                self.lane.keep(vehicle);
+                self.lane.cancel_changes(vehicle);
             }
             self.share_acceleration();
-            stints = self.stints(from_s + done_s, dt_s - done_s);
+            stints = self.lane_intervals(from_s + done_s, dt_s - done_s);
         }
-        self.drift(stints, dt_s - done_s);
+        self.advance_and_track_gaps(stints, dt_s - done_s);
         dt_s
     }
 
     /// Moves everybody by `dt_s` where that needs no care, which is nearly always: nobody enters or leaves, sticks to another one, can touch
     /// or is closest inside. To the bit what [`Self::drift`] does then, with each vehicle moved once. Does nothing elsewhere.
     #[inline]
-    fn glide(&mut self, dt_s: f64) -> bool {
-        let mut ends = [Motion { position_m: 0.0, speed_mps: 0.0, acceleration_mps2: 0.0 }; SHORT_LINE];
-        let Some(ends) = ends.get_mut(..self.motion.len()).filter(|_| self.lane.is_plain()) else { return false };
+    fn advance_contact_free(&mut self, dt_s: f64) -> bool {
+        let mut ends = [Motion { position_m: 0.0, speed_mps: 0.0, acceleration_mps2: 0.0 }; MAX_SHORT_LINE_VEHICLES];
+        let Some(ends) = ends.get_mut(..self.motion.len()).filter(|_| self.lane.is_constant()) else { return false };
         for (end, motion) in ends.iter_mut().zip(&self.motion) {
             *end = motion.after(dt_s);
         }
-        let mut gaps_m = [f64::INFINITY; SHORT_LINE];
+        let mut gaps_m = [f64::INFINITY; MAX_SHORT_LINE_VEHICLES];
         let pairs = self.motion.windows(2).zip(ends.windows(2)).zip(&self.length_m);
-        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m.iter_mut().zip(&self.sticks).skip(1).zip(pairs) {
+        for ((gap_m, &sticks), ((now, end), length_m)) in gaps_m.iter_mut().zip(&self.locked_to_front).skip(1).zip(pairs) {
             let ([front, rear], [front_end, rear_end]) = (now, end) else { continue };
-            match gap_after_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
+            match contact_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
                 Some(end_m) if !sticks => *gap_m = end_m,
                 _ => return false,
             }
@@ -122,37 +122,37 @@ impl Platoon {
     }
 
     /// The parts of the next `within_s` seconds, if somebody is still to enter or leave the lane.
-    fn stints(&self, now_s: f64, within_s: f64) -> Option<Vec<Stint>> {
-        (!self.lane.is_settled()).then(|| self.lane.stints(self.bodies(), now_s, within_s))
+    fn lane_intervals(&self, now_s: f64, within_s: f64) -> Option<Vec<LaneInterval>> {
+        (!self.lane.has_no_pending_changes()).then(|| self.lane.intervals(self.bodies(), now_s, within_s))
     }
 
     /// The earliest contact within `within_s` seconds of these parts: when, and who. The foremost of simultaneous ones.
-    fn next_contact(&self, stints: Option<&[Stint]>, within_s: f64) -> Option<(f64, [usize; 2])> {
+    fn next_contact(&self, stints: Option<&[LaneInterval]>, within_s: f64) -> Option<(f64, [usize; 2])> {
         match stints {
-            None => self.contact_in(&self.lane, [0.0, within_s]),
-            Some(stints) => stints.iter().find_map(|stint| self.contact_in(&stint.lane, [stint.from_s, stint.to_s])),
+            None => self.first_contact_between(&self.lane, [0.0, within_s]),
+            Some(stints) => stints.iter().find_map(|stint| self.first_contact_between(&stint.lane, [stint.from_s, stint.to_s])),
         }
     }
 
     /// The earliest contact between two instants in which nobody enters or leaves.
-    fn contact_in(&self, lane: &Lane, [from_s, to_s]: [f64; 2]) -> Option<(f64, [usize; 2])> {
+    fn first_contact_between(&self, lane: &LaneState, [from_s, to_s]: [f64; 2]) -> Option<(f64, [usize; 2])> {
         let within_s = to_s - from_s;
         let mut first: Option<(f64, [usize; 2])> = None;
         let mut before: Option<(usize, Motion, Motion)> = None;
         for rear in 0..self.motion.len() {
-            if !lane.holds(rear) {
+            if !lane.contains(rear) {
                 continue;
             }
-            let behind = self.at(rear, from_s);
+            let behind = self.motion_after(rear, from_s);
             let behind_end = behind.after(within_s);
             if let Some((index, front, front_end)) = before
-                && !self.sticks[rear]
+                && !self.locked_to_front[rear]
             {
                 let behind_mps = [behind.speed_mps, behind_end.speed_mps];
                 let closing_mps = [behind_mps[0] - front.speed_mps, behind_mps[1] - front_end.speed_mps];
                 let length_m = self.length_m[index];
                 let gap_m = front.position_m - length_m - behind.position_m;
-                if needs_care(gap_m, behind_mps, closing_mps, within_s)
+                if needs_contact_check(gap_m, behind_mps, closing_mps, within_s)
                     && let Some(in_s) = first_contact(front, behind, length_m, within_s)
                     && first.is_none_or(|(earliest_s, _)| from_s + in_s < earliest_s)
                 {
@@ -164,19 +164,19 @@ impl Platoon {
         first
     }
 
-    fn at(&self, vehicle: usize, in_s: f64) -> Motion {
+    fn motion_after(&self, vehicle: usize, in_s: f64) -> Motion {
         if in_s == 0.0 { self.motion[vehicle] } else { self.motion[vehicle].after(in_s) }
     }
 
     /// Moves everybody by `dt_s`, of these parts, in which nobody touches, and notes how close they came.
-    fn drift(&mut self, stints: Option<Vec<Stint>>, dt_s: f64) {
+    fn advance_and_track_gaps(&mut self, stints: Option<Vec<LaneInterval>>, dt_s: f64) {
         match stints {
-            None => self.note_closest_and_move(dt_s),
+            None => self.advance_without_lane_changes(dt_s),
             Some(mut stints) => {
                 for (place, stint) in stints.iter().enumerate() {
                     // Who enters and leaves at one instant was never there.
                     if stint.from_s < stint.to_s || place + 1 == stints.len() {
-                        self.note_closest(&stint.lane, [stint.from_s, stint.to_s]);
+                        self.track_closest_gaps(&stint.lane, [stint.from_s, stint.to_s]);
                     }
                 }
                 self.motion.iter_mut().for_each(|motion| *motion = motion.after(dt_s));
@@ -185,14 +185,14 @@ impl Platoon {
                 }
             }
         }
-        self.close_ranks();
+        self.snap_locked_vehicles();
     }
 
     /// Whoever sticks together touches, exactly.
-    fn close_ranks(&mut self) {
+    fn snap_locked_vehicles(&mut self) {
         // The gap inside a group is exactly zero: an emergency brake that looks at its sign must not see rounding.
         for rear in 1..self.motion.len() {
-            if self.sticks[rear]
+            if self.locked_to_front[rear]
                 && let Some(front) = self.lane.ahead(rear)
             {
                 self.motion[rear].position_m = self.motion[front].position_m - self.length_m[front];
@@ -201,19 +201,19 @@ impl Platoon {
     }
 
     /// What a step without changes of lanes does: each motion is worked out once.
-    fn note_closest_and_move(&mut self, dt_s: f64) {
+    fn advance_without_lane_changes(&mut self, dt_s: f64) {
         let mut before: Option<(usize, Motion, Motion)> = None;
         for rear in 0..self.motion.len() {
             let behind = self.motion[rear];
             let behind_end = behind.after(dt_s);
             self.motion[rear] = behind_end;
-            if !self.lane.holds(rear) {
+            if !self.lane.contains(rear) {
                 continue;
             }
             if let Some((index, front, front_end)) = before
-                && !self.sticks[rear]
+                && !self.locked_to_front[rear]
             {
-                let closest_m = closest_gap_until([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
+                let closest_m = closest_gap_given_ends_m([front, behind], [front_end, behind_end], self.length_m[index], dt_s);
                 self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
             }
             before = Some((rear, behind, behind_end));
@@ -221,14 +221,14 @@ impl Platoon {
     }
 
     /// Notes how close vehicles come between two instants in which nobody enters or leaves, the first of them included.
-    fn note_closest(&mut self, lane: &Lane, [from_s, to_s]: [f64; 2]) {
+    fn track_closest_gaps(&mut self, lane: &LaneState, [from_s, to_s]: [f64; 2]) {
         for rear in 0..self.motion.len() {
-            let Some(front) = lane.ahead(rear).filter(|_| !self.sticks[rear]) else { continue };
-            let (ahead, behind) = (self.at(front, from_s), self.at(rear, from_s));
+            let Some(front) = lane.ahead(rear).filter(|_| !self.locked_to_front[rear]) else { continue };
+            let (ahead, behind) = (self.motion_after(front, from_s), self.motion_after(rear, from_s));
             let (length_m, within_s) = (self.length_m[front], to_s - from_s);
             let ends = [ahead.after(within_s), behind.after(within_s)];
             let at_first_m = ahead.position_m - length_m - behind.position_m;
-            let closest_m = closest_gap_until([ahead, behind], ends, length_m, within_s).min(at_first_m);
+            let closest_m = closest_gap_given_ends_m([ahead, behind], ends, length_m, within_s).min(at_first_m);
             self.min_gap_m[rear] = self.min_gap_m[rear].min(closest_m);
         }
     }
@@ -236,15 +236,15 @@ impl Platoon {
     /// What the contact between `rear` and the vehicle ahead of it does.
     fn impact(&self, time_s: f64, front: usize, rear: usize) -> Impact {
         let mut first_involved = front;
-        while let Some(ahead) = self.lane.ahead(first_involved).filter(|_| self.sticks[first_involved]) {
+        while let Some(ahead) = self.lane.ahead(first_involved).filter(|_| self.locked_to_front[first_involved]) {
             first_involved = ahead;
         }
         let mut last_involved = rear;
-        while let Some(behind) = self.lane.behind(last_involved).filter(|&behind| self.sticks[behind]) {
+        while let Some(behind) = self.lane.behind(last_involved).filter(|&behind| self.locked_to_front[behind]) {
             last_involved = behind;
         }
-        let beside = (first_involved..=last_involved).filter(|&vehicle| !self.lane.holds(vehicle)).collect();
-        let involved = || (first_involved..=last_involved).filter(|&vehicle| self.lane.holds(vehicle));
+        let beside = (first_involved..=last_involved).filter(|&vehicle| !self.lane.contains(vehicle)).collect();
+        let involved = || (first_involved..=last_involved).filter(|&vehicle| self.lane.contains(vehicle));
         let mass_kg: f64 = involved().map(|i| self.mass_kg[i]).sum();
         let momentum: f64 = involved().map(|i| self.mass_kg[i] * self.motion[i].speed_mps).sum();
         let (front_speed_mps, rear_speed_mps) = (self.motion[front].speed_mps, self.motion[rear].speed_mps);
@@ -261,9 +261,9 @@ impl Platoon {
 
     /// Gives every group that sticks together the acceleration of its summed forces.
     pub(super) fn share_acceleration(&mut self) {
-        for first in (0..self.motion.len()).filter(|&vehicle| !self.sticks[vehicle]).collect::<Vec<_>>() {
+        for first in (0..self.motion.len()).filter(|&vehicle| !self.locked_to_front[vehicle]).collect::<Vec<_>>() {
             let mut members = vec![first];
-            while let Some(next) = self.lane.behind(members[members.len() - 1]).filter(|&behind| self.sticks[behind]) {
+            while let Some(next) = self.lane.behind(members[members.len() - 1]).filter(|&behind| self.locked_to_front[behind]) {
                 members.push(next);
             }
             if members.len() > 1 {
@@ -281,11 +281,11 @@ impl Platoon {
 
 /// The gap between two vehicles, front and rear, at the end of `dt_s` seconds, in metres; none where they could touch or come closer inside.
 #[inline]
-fn gap_after_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
+fn contact_free_end_gap_m(now: [&Motion; 2], end: [&Motion; 2], length_m: f64, dt_s: f64) -> Option<f64> {
     let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
     let closing_mps = [now, end].map(|[front, rear]| rear.speed_mps - front.speed_mps);
     let rear_mps = [now[1].speed_mps, end[1].speed_mps];
-    (!needs_care(gap_m(now), rear_mps, closing_mps, dt_s)).then(|| gap_m(end))
+    (!needs_contact_check(gap_m(now), rear_mps, closing_mps, dt_s)).then(|| gap_m(end))
 }
 
 #[cfg(test)]
@@ -334,7 +334,7 @@ mod tests {
     proptest! {
         /// Where the short way is taken it leads to the same bits as the long one.
         #[test]
-        fn gliding_is_drifting(
+        fn contact_free_advance_equals_the_full_one(
             line in prop::collection::vec((0.0..4.0_f64, 0.0..40.0_f64, -9.0..4.0_f64), 1..10),
             dt_s in 1e-3..0.2_f64,
         ) {

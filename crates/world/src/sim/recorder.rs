@@ -1,18 +1,18 @@
 //! What is kept of a run while it goes on.
 
 use super::motion::Motion;
-use super::platoon::Platoon;
-use super::{FailedController, Impact, Intervention, Outcome, Simulated, Trace, Track, VehicleSummary};
+use super::platoon::PlatoonState;
+use super::{FailedController, Impact, Intervention, Outcome, SimulationResult, Trace, Track, VehicleSummary};
 
 /// Smallest time to collision and hardest braking of one vehicle so far.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Tally {
+pub(super) struct VehicleExtremes {
     pub(super) min_ttc_s: f64,
     pub(super) max_brake_mps2: f64,
 }
 
-impl Tally {
-    pub(super) const NOTHING_YET: Self = Self { min_ttc_s: f64::INFINITY, max_brake_mps2: 0.0 };
+impl VehicleExtremes {
+    pub(super) const INITIAL: Self = Self { min_ttc_s: f64::INFINITY, max_brake_mps2: 0.0 };
 }
 
 /// The hardest braking once a vehicle has had `acceleration_mps2`.
@@ -30,7 +30,7 @@ pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
 }
 
 /// What a run kept of one vehicle.
-pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSummary {
+pub(super) fn summarize_vehicle(min_gap_m: f64, tally: VehicleExtremes, speed_mps: f64) -> VehicleSummary {
     // A pair that touches at the instant at which the run ends with another contact may be apart by less than nothing.
     let min_gap_m = min_gap_m.max(0.0);
     // Samples may lie on either side of a contact; at the contact itself time to collision is 0.
@@ -44,16 +44,16 @@ pub(super) fn summary(min_gap_m: f64, tally: Tally, speed_mps: f64) -> VehicleSu
 }
 
 /// A finished run.
-pub(super) fn finished(
+pub(super) fn assemble_result(
     impacts: Vec<Impact>,
     vehicles: Vec<VehicleSummary>,
     interventions: Vec<Intervention>,
     trace: Option<Trace>,
     failed: Option<FailedController>,
-) -> Simulated {
+) -> SimulationResult {
     let touched = || impacts.first().map_or(Outcome::NoCollision, |impact| Outcome::Collision(impact.contact));
     let outcome = failed.map_or_else(touched, Outcome::ControllerFailed);
-    Simulated { outcome, impacts, vehicles, interventions, trace }
+    SimulationResult { outcome, impacts, vehicles, interventions, trace }
 }
 
 /// Whether a run keeps the motion of all vehicles.
@@ -67,7 +67,7 @@ pub enum RecordingLevel {
 
 impl Trace {
     /// An empty trace for the vehicles of a platoon, or none if it is not to be kept.
-    pub(super) fn begin(keep: RecordingLevel, platoon: &Platoon, samples: usize) -> Option<Self> {
+    pub(super) fn begin(keep: RecordingLevel, platoon: &PlatoonState, samples: usize) -> Option<Self> {
         let track = |(&length_m, &mass_kg): (&f64, &f64)| Track {
             length_m,
             mass_kg,
@@ -83,7 +83,7 @@ impl Trace {
     }
 
     /// Adds a sample; `motion` yields one entry a vehicle.
-    pub(super) fn sample(&mut self, time_s: f64, motion: impl Iterator<Item = Motion>) {
+    pub(super) fn push_sample(&mut self, time_s: f64, motion: impl Iterator<Item = Motion>) {
         self.time_s.push(time_s);
         for (track, motion) in self.vehicles.iter_mut().zip(motion) {
             track.position_m.push(motion.position_m);

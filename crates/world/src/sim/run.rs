@@ -4,17 +4,17 @@ use std::sync::{Arc, OnceLock};
 
 use super::AfterContact;
 use super::actuator::{Actuator, Disturbance};
-use super::lane::{Bodies, Lane};
+use super::lane::{Bodies, LaneState};
 use super::motion::Motion;
-use super::platoon::Platoon;
+use super::platoon::PlatoonState;
 use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, ControllerFailure, ControllerKind, Ego, Frame, Needs, NetworkDriver, PolicyDriver, ProcessDriver,
-    Shield, ZeroOrderHold,
+    AnyController, ControllerFailure, ControllerKind, Ego, ShieldParams, RequiredNeighbours, NetworkDriver, PolicyDriver, ProcessDriver,
+    ShieldedController, ZeroOrderHold,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
-use crate::scenario::{Driver, LeadProfile, MOST_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
+use crate::scenario::{Driver, LeadProfile, MAX_VEHICLE_STEPS, Scenario, VehicleSpec, whole_multiple};
 
 /// How to run a scenario.
 ///
@@ -80,7 +80,7 @@ impl RunOptions {
 pub enum RunError {
     /// The integration step does not divide the scenario's.
     #[error("an integration step of {dt_s} s does not divide the scenario's step of {step_s} s into whole parts")]
-    Dt {
+    IntegrationStep {
         /// The integration step asked for, in seconds.
         dt_s: f64,
         /// The scenario's step, in seconds.
@@ -100,7 +100,7 @@ pub enum RunError {
     #[error(
         "the controller decides every {interval_s} s, which is not a multiple of the scenario's step of {step_s} s"
     )]
-    Interval {
+    DecisionInterval {
         /// The controller's interval, in seconds.
         interval_s: f64,
         /// The scenario's step, in seconds.
@@ -108,19 +108,19 @@ pub enum RunError {
     },
     /// The controller cannot drive a vehicle without a neighbour that is not there.
     #[error("the controller cannot drive vehicle {vehicle}: there is no vehicle {missing} it that stays in the lane")]
-    Needs {
+    MissingNeighbour {
         /// Index of the vehicle.
         vehicle: usize,
         /// Where there is none: `ahead of` or `behind`.
         missing: &'static str,
     },
     /// A shield cannot vouch for a vehicle under test.
-    #[error("a shield cannot vouch for vehicle {vehicle}: {why}")]
+    #[error("a shield cannot vouch for vehicle {vehicle}: {refusal}")]
     Shield {
         /// Index of the vehicle.
         vehicle: usize,
         /// Why.
-        why: ShieldRefusal,
+        refusal: ShieldRefusal,
     },
 }
 
@@ -145,7 +145,7 @@ pub struct Run {
     /// Made when the first vehicle needs it: most runs with the true state never do.
     tuning: OnceLock<Arc<EgoTuning>>,
     /// What shields take for granted, an entry a vehicle; none for one that is not shielded.
-    frames: Vec<Option<Frame>>,
+    shield_params: Vec<Option<ShieldParams>>,
 }
 
 impl Run {
@@ -157,16 +157,16 @@ impl Run {
         let step_s = scenario.spec().step_s;
         let substeps = match options.dt_s {
             None => 1,
-            Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::Dt { dt_s, step_s })?,
+            Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::IntegrationStep { dt_s, step_s })?,
         };
         let dt_s = step_s / substeps as f64;
         let (tuning, frames) = Default::default();
-        let mut run = Self { scenario: scenario.clone(), options, substeps, dt_s, tuning, frames };
+        let mut run = Self { scenario: scenario.clone(), options, substeps, dt_s, tuning, shield_params: frames };
         let found = run.vehicle_samples();
-        if found > MOST_VEHICLE_STEPS {
-            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MOST_VEHICLE_STEPS, found });
+        if found > MAX_VEHICLE_STEPS {
+            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MAX_VEHICLE_STEPS, found });
         }
-        run.frames = run.shield_frames()?;
+        run.shield_params = run.shield_params_by_vehicle()?;
         let vehicles = scenario.vehicles();
         for (vehicle, spec) in vehicles.iter().enumerate() {
             let kind = match &spec.driver {
@@ -179,16 +179,16 @@ impl Run {
                 Driver::UnderTest => &run.options.controller,
             };
             if let Some(interval_s) = kind.interval_s() {
-                whole_multiple(interval_s, step_s).ok_or(RunError::Interval { interval_s, step_s })?;
+                whole_multiple(interval_s, step_s).ok_or(RunError::DecisionInterval { interval_s, step_s })?;
             }
-            let needs = kind.needs();
+            let needs = kind.required_neighbours();
             // Whoever enters or leaves is not always there.
             let (ahead, behind) = (&vehicles[..vehicle], &vehicles[vehicle + 1..]);
-            if needs != Needs::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
-                return Err(RunError::Needs { vehicle, missing: "ahead of" });
+            if needs != RequiredNeighbours::Nothing && !ahead.iter().any(VehicleSpec::keeps_lane) {
+                return Err(RunError::MissingNeighbour { vehicle, missing: "ahead of" });
             }
-            if needs == Needs::AheadAndBehind && !behind.iter().any(VehicleSpec::keeps_lane) {
-                return Err(RunError::Needs { vehicle, missing: "behind" });
+            if needs == RequiredNeighbours::AheadAndBehind && !behind.iter().any(VehicleSpec::keeps_lane) {
+                return Err(RunError::MissingNeighbour { vehicle, missing: "behind" });
             }
         }
         Ok(run)
@@ -233,14 +233,14 @@ impl Run {
         self.tuning.get_or_init(|| Arc::new(EgoTuning::new(spec.step_s, &spec.sensors)))
     }
 
-    fn shield_frames(&self) -> Result<Vec<Option<Frame>>, RunError> {
+    fn shield_params_by_vehicle(&self) -> Result<Vec<Option<ShieldParams>>, RunError> {
         let vehicles = self.scenario.vehicles();
         let ControllerKind::Shielded(shielded) = &self.options.controller else {
             return Ok(vec![None; vehicles.len()]);
         };
         let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
             Driver::UnderTest => {
-                self.frame(vehicle, &shielded.settings).map(Some).map_err(|why| RunError::Shield { vehicle, why })
+                self.shield_params(vehicle, &shielded.settings).map(Some).map_err(|why| RunError::Shield { vehicle, refusal: why })
             }
             _ => Ok(None),
         };
@@ -259,35 +259,35 @@ impl Run {
     }
 
     /// Whether it can be made in lockstep with others.
-    pub(super) fn steps_together(&self) -> bool {
+    pub(super) fn supports_lockstep(&self) -> bool {
         self.scenario.vehicles().iter().enumerate().all(|(index, vehicle)| match &vehicle.driver {
             Driver::Profile(_) | Driver::Controller(_) => true,
             Driver::File(file) => {
-                file.controller().is_none_or(|controller| controller.steps_together(|| self.ego(index)))
+                file.controller().is_none_or(|controller| controller.supports_lockstep(|| self.ego(index)))
             }
-            Driver::UnderTest => self.options.controller.steps_together(|| self.ego(index)),
+            Driver::UnderTest => self.options.controller.supports_lockstep(|| self.ego(index)),
         })
     }
 
     /// Starts the driver of vehicle `index`.
-    pub(super) fn driver(&self, index: usize) -> ActiveDriver<&LeadProfile> {
+    pub(super) fn start_driver(&self, index: usize) -> VehicleController<&LeadProfile> {
         match &self.scenario.vehicles()[index].driver {
-            Driver::Profile(profile) => ActiveDriver::Profile(profile),
+            Driver::Profile(profile) => VehicleController::Profile(profile),
             Driver::Controller(spec) => {
-                ActiveDriver::Controller(AnyController::built_in(spec, &self.ego(index), self.scenario.spec().seed))
+                VehicleController::Controller(AnyController::from_spec(spec, &self.ego(index), self.scenario.spec().seed))
             }
-            Driver::File(file) => ActiveDriver::Controller(match file.controller() {
-                Some(controller) => self.started(index, controller),
+            Driver::File(file) => VehicleController::Controller(match file.controller() {
+                Some(controller) => self.start_controller(index, controller),
                 None => AnyController::NotStarted(ControllerFailure::Died { message: "it was not read".to_owned() }),
             }),
-            Driver::UnderTest => ActiveDriver::Controller(self.started(index, &self.options.controller)),
+            Driver::UnderTest => VehicleController::Controller(self.start_controller(index, &self.options.controller)),
         }
     }
 
-    fn started(&self, index: usize, kind: &ControllerKind) -> AnyController {
+    fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
         let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
         match kind {
-            ControllerKind::BuiltIn(spec) => AnyController::built_in(spec, &ego, seed),
+            ControllerKind::BuiltIn(spec) => AnyController::from_spec(spec, &ego, seed),
             ControllerKind::Policy(policy) => AnyController::Policy(PolicyDriver::new(Arc::clone(policy), &ego)),
             ControllerKind::Network(network) => AnyController::Network(NetworkDriver::new(Arc::clone(network), &ego)),
             ControllerKind::Process(process) => match ProcessDriver::new(Arc::clone(process), &ego, seed) {
@@ -295,15 +295,15 @@ impl Run {
                 Err(failure) => AnyController::NotStarted(failure),
             },
             ControllerKind::Shielded(shielded) => {
-                let controller = self.started(index, &shielded.controller);
-                match self.frames.get(index).copied().flatten() {
-                    Some(frame) => AnyController::Shielded(Shield::new(controller, frame)),
+                let controller = self.start_controller(index, &shielded.controller);
+                match self.shield_params.get(index).copied().flatten() {
+                    Some(frame) => AnyController::Shielded(ShieldedController::new(controller, frame)),
                     None => controller,
                 }
             }
             ControllerKind::Custom(source) => match source.start(&ego, seed) {
                 Ok(started) => AnyController::Custom(
-                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s).asked_together(source),
+                    ZeroOrderHold::new(started, source.interval_s(), ego.step_s).with_batching(source),
                 ),
                 Err(failure) => AnyController::NotStarted(failure),
             },
@@ -311,12 +311,12 @@ impl Run {
     }
 
     /// Sensors and filters of vehicle `index`; none if it sees the truth.
-    pub(super) fn estimator(&self, index: usize, platoon: &Platoon) -> Option<EgoEstimator> {
+    pub(super) fn estimator(&self, index: usize, platoon: &PlatoonState) -> Option<EgoEstimator> {
         let vehicle = &self.scenario.vehicles()[index];
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &truth(platoon, index))
+            EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &true_state(platoon, index))
         })
     }
 
@@ -329,33 +329,33 @@ impl Run {
     }
 
     /// Everybody at the start.
-    pub(super) fn platoon(&self) -> Platoon {
+    pub(super) fn initial_platoon(&self) -> PlatoonState {
         let vehicles = self.scenario.vehicles();
-        let mut platoon = Platoon {
+        let mut platoon = PlatoonState {
             motion: vehicles
                 .iter()
                 .map(|v| Motion { position_m: v.position_m, speed_mps: v.speed_mps, acceleration_mps2: 0.0 })
                 .collect(),
             length_m: vehicles.iter().map(|v| v.length_m()).collect(),
             mass_kg: vehicles.iter().map(|v| v.mass_kg()).collect(),
-            lane: Lane::of_all(vehicles.len()),
-            sticks: vec![false; vehicles.len()],
+            lane: LaneState::with_all(vehicles.len()),
+            locked_to_front: vec![false; vehicles.len()],
             min_gap_m: vec![f64::INFINITY; vehicles.len()],
         };
-        platoon.lane = Lane::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
-        platoon.note_gaps();
+        platoon.lane = LaneState::new(vehicles, Bodies { motion: &platoon.motion, length_m: &platoon.length_m });
+        platoon.track_gaps();
         platoon
     }
 }
 
 /// Driver of one vehicle of a run; `P` is a profile, borrowed or owned.
-pub(super) enum ActiveDriver<P> {
+pub(super) enum VehicleController<P> {
     Profile(P),
     Controller(AnyController),
 }
 
 /// What is true of vehicle `index` and its neighbours.
-pub(super) fn truth(platoon: &Platoon, index: usize) -> TrueState {
+pub(super) fn true_state(platoon: &PlatoonState, index: usize) -> TrueState {
     let own = platoon.motion[index];
     let neighbour = |other: usize, [front, rear]: [usize; 2]| {
         let motion = platoon.motion[other];

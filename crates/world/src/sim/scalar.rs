@@ -2,7 +2,7 @@
 //!
 //! The lockstep engine means exactly the same and agrees with this one to the last bit.
 
-use super::{RecordingLevel, Run, Simulated, Stepper};
+use super::{RecordingLevel, Run, SimulationResult, Stepper};
 
 /// Runs a scenario.
 ///
@@ -17,7 +17,7 @@ use super::{RecordingLevel, Run, Simulated, Stepper};
 /// assert_eq!(result.trace.unwrap().vehicles.len(), 3);
 /// ```
 #[must_use]
-pub fn simulate(run: &Run, keep: RecordingLevel) -> Simulated {
+pub fn simulate(run: &Run, keep: RecordingLevel) -> SimulationResult {
     let mut stepper = Stepper::new(run, keep);
     while !stepper.has_ended() {
         stepper.step();

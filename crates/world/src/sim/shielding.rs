@@ -4,13 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::control::{
-    AnyController, Behind, ErrorBounds, Frame, Kernel, MARGIN_M, MOST_MARGIN_M, Override, ShieldSettings, Travel,
+    AnyController, RearVehicleParams, ErrorBounds, ShieldParams, ViabilityKernel, MIN_MARGIN_M, MAX_MARGIN_M, Override, ShieldSettings, MotionBounds,
 };
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield counts on: exceeded once in 10⁹ draws.
-const DEVIATIONS: f64 = 6.0;
+const NOISE_SIGMAS: f64 = 6.0;
 
 /// Why a shield cannot vouch for a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -18,7 +18,7 @@ const DEVIATIONS: f64 = 6.0;
 pub enum ShieldRefusal {
     /// Full braking cannot be had at a known rate.
     #[error("it has a jerk limit, which the kernel does not cover")]
-    Jerk,
+    JerkLimit,
     /// The kernel takes for granted that the vehicle ahead stays the same.
     #[error("vehicles enter or leave the lane, which the kernel does not cover")]
     LaneChanges,
@@ -35,16 +35,16 @@ pub enum ShieldRefusal {
     Dropout,
     /// Rounding may take more of the gap than a margin should make up for.
     #[error(
-        "rounding may take up to {half_m} m of the gap in runs so long, at positions up to {} m, which a margin of at most {most_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
-        crumple_core::digits::nearest(*position_m, 3)
+        "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin of at most {max_margin_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
+        crumple_core::digits::format_rounded(*position_m, 3)
     )]
     Rounding {
         /// What rounding may take, in metres.
-        half_m: f64,
+        rounding_m: f64,
         /// How far from the origin the run may lead, in metres.
         position_m: f64,
         /// The largest margin, in metres.
-        most_m: f64,
+        max_margin_m: f64,
     },
 }
 
@@ -82,26 +82,26 @@ impl Run {
     ///
     /// # Errors
     /// [`ShieldRefusal`] if that is not enough.
-    pub(super) fn frame(&self, index: usize, settings: &ShieldSettings) -> Result<Frame, ShieldRefusal> {
+    pub(super) fn shield_params(&self, index: usize, settings: &ShieldSettings) -> Result<ShieldParams, ShieldRefusal> {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let own = &vehicles[index];
         let step_s = spec.step_s;
         let whole_steps = |time_s: f64| (time_s / step_s).round();
-        let (brake_mps2, noise_mps2) = (self.scenario().usable_brake_mps2(index), noise_of(own));
+        let (brake_mps2, noise_mps2) = (self.scenario().usable_brake_mps2(index), noise_bound_mps2(own));
         if !self.scenario().keeps_lanes() {
             return Err(ShieldRefusal::LaneChanges);
         }
         if own.jerk_limit_mps3.is_some() {
-            return Err(ShieldRefusal::Jerk);
+            return Err(ShieldRefusal::JerkLimit);
         }
         if noise_mps2 >= brake_mps2 {
             return Err(ShieldRefusal::Noise { brake_mps2 });
         }
         let ahead = index.checked_sub(1).and_then(|front| vehicles.get(front));
         let dry_mps2 = settings.ahead_brake_mps2.or(ahead.map(VehicleSpec::max_brake_mps2)).unwrap_or(brake_mps2);
-        let ahead_brake_mps2 = dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_of);
-        let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| ahead.max_accel_mps2() + noise_of(ahead));
+        let ahead_brake_mps2 = dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2);
+        let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| ahead.max_accel_mps2() + noise_bound_mps2(ahead));
         let accel_mps2 = own.max_accel_mps2();
         let errors = match (settings.errors, self.options().estimator) {
             (Some(errors), _) => errors,
@@ -109,34 +109,34 @@ impl Run {
             (None, EstimatorKind::Kalman) if spec.sensors.dropout > 0.0 => return Err(ShieldRefusal::Dropout),
             (None, EstimatorKind::Kalman) => {
                 let spans_mps2 = [brake_mps2 + accel_mps2 + 2.0 * noise_mps2, ahead_brake_mps2 + ahead_accel_mps2];
-                let [gap_m, speed_mps, ahead_speed_mps] = self.tuning().worst_errors(spans_mps2, DEVIATIONS);
+                let [gap_m, speed_mps, ahead_speed_mps] = self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
                 ErrorBounds { gap_m, speed_mps, ahead_speed_mps }
             }
         };
         let delay_steps =
             (whole_steps(own.reaction_delay_s + own.actuator_delay_s) as usize).min(self.scenario().steps());
-        let mut frame = Frame {
+        let mut frame = ShieldParams {
             step_s,
             brake_mps2,
             accel_mps2,
             noise_mps2,
             ahead_brake_mps2,
             delay_steps,
-            share: if own.actuator_lag_s > 0.0 { -(-step_s / own.actuator_lag_s).exp_m1() } else { 1.0 },
+            response_fraction: if own.actuator_lag_s > 0.0 { -(-step_s / own.actuator_lag_s).exp_m1() } else { 1.0 },
             errors,
-            behind: vehicles.get(index + 1).map(|behind| Behind {
+            behind: vehicles.get(index + 1).map(|behind| RearVehicleParams {
                 brake_mps2: self.scenario().usable_brake_mps2(index + 1),
                 reaction_s: whole_steps(behind.reaction_delay_s + behind.actuator_delay_s) * step_s,
             }),
-            margin_m: MARGIN_M,
+            margin_m: MIN_MARGIN_M,
         };
         // With nothing ahead nothing is asked of the margin.
         if let Some(front) = index.checked_sub(1) {
-            let travel = self.travel(front, &frame);
+            let travel = self.motion_bounds(front, &frame);
             frame.margin_m = travel.margin_m(&frame);
-            if frame.margin_m > MOST_MARGIN_M || frame.margin_m.is_nan() {
+            if frame.margin_m > MAX_MARGIN_M || frame.margin_m.is_nan() {
                 let (half_m, position_m) = (0.5 * frame.margin_m, travel.position_m);
-                return Err(ShieldRefusal::Rounding { half_m, position_m, most_m: MOST_MARGIN_M });
+                return Err(ShieldRefusal::Rounding { rounding_m: half_m, position_m, max_margin_m: MAX_MARGIN_M });
             }
         }
         Ok(frame)
@@ -146,7 +146,7 @@ impl Run {
     ///
     /// Nobody overtakes, so the first vehicle bounds all positions; and a vehicle in the kernel of the one ahead is no faster than
     /// D <= g allows: v²/2b - w²/2c is at most the road between them.
-    fn travel(&self, front: usize, frame: &Frame) -> Travel {
+    fn motion_bounds(&self, front: usize, frame: &ShieldParams) -> MotionBounds {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let fastest_mps = |vehicle: &VehicleSpec| {
@@ -157,30 +157,30 @@ impl Run {
                 }
                 _ => vehicle.max_accel_mps2(),
             };
-            vehicle.speed_mps + (accel_mps2 + noise_of(vehicle)) * spec.duration_s
+            vehicle.speed_mps + (accel_mps2 + noise_bound_mps2(vehicle)) * spec.duration_s
         };
         let (first, ahead, own) = (&vehicles[0], &vehicles[front], &vehicles[front + 1]);
         // A step's way to spare, and a vehicle's length.
         let spare_m = (100.0 + 60.0 * frame.step_s) * frame.step_s + ahead.length_m();
         let farthest_m = first.position_m + fastest_mps(first) * spec.duration_s + spare_m;
         let ahead_mps = fastest_mps(ahead);
-        let Kernel { own_brake_mps2, ahead_brake_mps2 } = frame.kernel();
+        let ViabilityKernel { own_brake_mps2, ahead_brake_mps2 } = frame.kernel();
         let road_m = farthest_m - own.position_m;
         let in_kernel_mps =
             (2.0 * own_brake_mps2 * road_m + own_brake_mps2 / ahead_brake_mps2 * ahead_mps * ahead_mps).sqrt();
         let own_mps = fastest_mps(own).min(in_kernel_mps);
-        Travel {
+        MotionBounds {
             position_m: farthest_m.abs().max((own.position_m - spare_m).abs()),
             speed_mps: own_mps.max(ahead_mps),
-            ahead_accel_mps2: ahead.max_accel_mps2() + noise_of(ahead),
+            ahead_accel_mps2: ahead.max_accel_mps2() + noise_bound_mps2(ahead),
             steps: self.scenario().steps().saturating_mul(self.substeps()),
             substeps: self.substeps(),
         }
     }
 }
 
-fn noise_of(vehicle: &VehicleSpec) -> f64 {
-    DEVIATIONS * vehicle.acceleration_noise_mps2
+fn noise_bound_mps2(vehicle: &VehicleSpec) -> f64 {
+    NOISE_SIGMAS * vehicle.acceleration_noise_mps2
 }
 
 #[cfg(test)]

@@ -4,13 +4,13 @@ mod short_line;
 
 use std::ops::ControlFlow;
 
-use self::short_line::Pause;
-use super::actuator::{Actuator, Disturbance, unless_at_rest};
-use super::platoon::Platoon;
-use super::recorder::{Tally, finished, hardest_brake_mps2, summary, ttc_s};
-use super::run::{ActiveDriver, truth};
+use self::short_line::FallbackReason;
+use super::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
+use super::platoon::PlatoonState;
+use super::recorder::{VehicleExtremes, assemble_result, hardest_brake_mps2, summarize_vehicle, ttc_s};
+use super::run::{VehicleController, true_state};
 use super::shielding::interventions;
-use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, Simulated, Trace};
+use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace};
 use crate::control::{Controller, ControllerFailure};
 use crate::estimate::EgoEstimator;
 use crate::observation::Observation;
@@ -21,12 +21,12 @@ use crate::scenario::LeadProfile;
 /// [`step`](Self::step) lets everybody decide and move. Before it, [`observe`](Self::observe) says what a vehicle sees and
 /// [`command`](Self::command) decides for it: its own driver is then not asked.
 pub struct Stepper {
-    pace: Pace,
-    platoon: Platoon,
+    time_grid: TimeGrid,
+    platoon: PlatoonState,
     loops: Vec<VehicleLoop>,
-    decided_mps2: Vec<f64>,
+    next_acceleration_mps2: Vec<f64>,
     /// One a vehicle; none of them where nobody wants summaries.
-    tallies: Vec<Tally>,
+    extremes: Vec<VehicleExtremes>,
     trace: Option<Trace>,
     impacts: Vec<Impact>,
     failed: Option<FailedController>,
@@ -36,20 +36,20 @@ pub struct Stepper {
 
 /// A run after a step that somebody from outside drove in.
 #[derive(Debug, Clone, Copy)]
-pub struct Moment<'a> {
+pub struct StepView<'a> {
     /// Where every vehicle is, front to rear.
     pub motion: &'a [Motion],
     /// Bumper gap ahead of the vehicle driven, in metres; none if nobody is ahead of it in the lane.
     pub gap_m: Option<f64>,
     /// Whether vehicles have touched.
-    pub has_touched: bool,
+    pub has_collided: bool,
     /// Whether the run is over.
     pub has_ended: bool,
 }
 
 /// What every step asks of its run, kept where the step is: of a thousand runs under way each lies elsewhere in memory.
 #[derive(Debug, Clone, Copy)]
-struct Pace {
+struct TimeGrid {
     step_s: f64,
     dt_s: f64,
     substeps: usize,
@@ -57,8 +57,8 @@ struct Pace {
     after_contact: AfterContact,
 }
 
-impl Pace {
-    fn of(run: &Run) -> Self {
+impl TimeGrid {
+    fn new(run: &Run) -> Self {
         Self {
             step_s: run.scenario().spec().step_s,
             dt_s: run.dt_s(),
@@ -78,18 +78,18 @@ impl Stepper {
     /// The run at its start.
     #[must_use]
     pub fn new(run: &Run, keep: RecordingLevel) -> Self {
-        let platoon = run.platoon();
+        let platoon = run.initial_platoon();
         let loops: Vec<VehicleLoop> =
             (0..platoon.motion.len()).map(|index| VehicleLoop::new(run, index, &platoon)).collect();
-        let mut tallies = vec![Tally::NOTHING_YET; loops.len()];
-        see_ttc(&mut tallies, &platoon);
+        let mut tallies = vec![VehicleExtremes::INITIAL; loops.len()];
+        update_min_ttc(&mut tallies, &platoon);
         Self {
-            pace: Pace::of(run),
+            time_grid: TimeGrid::new(run),
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
-            decided_mps2: vec![0.0; loops.len()],
+            next_acceleration_mps2: vec![0.0; loops.len()],
             platoon,
             loops,
-            tallies,
+            extremes: tallies,
             impacts: Vec::new(),
             failed: None,
             step: 0,
@@ -101,12 +101,12 @@ impl Stepper {
     /// noted, and [`finish`](Self::finish) has no summaries of vehicles.
     #[must_use]
     pub fn without_summaries(run: &Run) -> Self {
-        Self { tallies: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
+        Self { extremes: Vec::new(), ..Self::new(run, RecordingLevel::Summary) }
     }
 
     /// Steps of the scenario that were made, the one that ended in a contact included.
     #[must_use]
-    pub fn steps_made(&self) -> usize {
+    pub fn step_count(&self) -> usize {
         self.step
     }
 
@@ -118,7 +118,7 @@ impl Stepper {
 
     /// Whether vehicles have touched.
     #[must_use]
-    pub fn has_touched(&self) -> bool {
+    pub fn has_collided(&self) -> bool {
         !self.impacts.is_empty()
     }
 
@@ -154,32 +154,32 @@ impl Stepper {
         index: usize,
         steps: usize,
         mut command: impl FnMut(&Observation) -> f64,
-        mut after: impl FnMut(&Moment<'_>) -> ControlFlow<()>,
+        mut after: impl FnMut(&StepView<'_>) -> ControlFlow<()>,
     ) {
         let last = self.step.saturating_add(steps);
         while self.step < last && !self.ended {
             let (command, after) = (&mut command, &mut after);
             let pause = match self.loops.len() {
-                2 => self.drive_line::<2>(index, last, command, after),
-                3 => self.drive_line::<3>(index, last, command, after),
-                4 => self.drive_line::<4>(index, last, command, after),
-                _ => Pause::Undecided,
+                2 => self.drive_short_line::<2>(index, last, command, after),
+                3 => self.drive_short_line::<3>(index, last, command, after),
+                4 => self.drive_short_line::<4>(index, last, command, after),
+                _ => FallbackReason::CommandsPending,
             };
             match pause {
-                Pause::Over => return,
-                Pause::Decided => {}
-                Pause::Undecided => {
+                FallbackReason::Finished => return,
+                FallbackReason::CommandsReady => {}
+                FallbackReason::CommandsPending => {
                     if let Some(seen) = self.observe(index) {
                         self.command(index, command(&seen));
                     }
                     self.decide();
                 }
             }
-            self.make_step();
-            let moment = Moment {
+            self.move_vehicles();
+            let moment = StepView {
                 motion: self.motion(),
                 gap_m: self.gap_m(index),
-                has_touched: self.has_touched(),
+                has_collided: self.has_collided(),
                 has_ended: self.ended,
             };
             if after(&moment).is_break() {
@@ -192,20 +192,20 @@ impl Stepper {
     pub fn step(&mut self) {
         if !self.ended {
             self.decide();
-            self.make_step();
+            self.move_vehicles();
         }
     }
 
     /// The instants between which the next step lies, in seconds.
     fn span_s(&self) -> [f64; 2] {
-        [self.pace.time_s(self.step, 0), self.pace.time_s(self.step + 1, 0)]
+        [self.time_grid.time_s(self.step, 0), self.time_grid.time_s(self.step + 1, 0)]
     }
 
     /// Lets everybody decide.
     fn decide(&mut self) {
         let span_s = self.span_s();
         // Everybody decides on the state at the start of the step; only then does anybody move.
-        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.decided_mps2).enumerate() {
+        for (index, (vehicle, decided_mps2)) in self.loops.iter_mut().zip(&mut self.next_acceleration_mps2).enumerate() {
             match vehicle.decide(&self.platoon, index, span_s) {
                 Ok(acceleration_mps2) => *decided_mps2 = acceleration_mps2,
                 Err(failure) => {
@@ -217,41 +217,41 @@ impl Stepper {
     }
 
     /// Lets everybody move as was decided.
-    fn make_step(&mut self) {
+    fn move_vehicles(&mut self) {
         if self.failed.is_some() {
             self.ended = true;
             return;
         }
-        for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.decided_mps2) {
+        for (motion, &acceleration_mps2) in self.platoon.motion.iter_mut().zip(&self.next_acceleration_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
         }
-        if self.has_touched() {
+        if self.has_collided() {
             self.platoon.share_acceleration();
         }
-        for substep in 0..self.pace.substeps {
-            self.advance(self.pace.time_s(self.step, substep));
+        for substep in 0..self.time_grid.substeps {
+            self.advance_substep(self.time_grid.time_s(self.step, substep));
             if self.ended {
                 break;
             }
         }
         self.step += 1;
-        self.ended |= self.step == self.pace.steps;
+        self.ended |= self.step == self.time_grid.steps;
     }
 
-    fn advance(&mut self, from_s: f64) {
-        let Self { platoon, tallies, trace, impacts, .. } = self;
+    fn advance_substep(&mut self, from_s: f64) {
+        let Self { platoon, extremes: tallies, trace, impacts, .. } = self;
         if let Some(trace) = trace {
-            trace.sample(from_s, platoon.motion.iter().copied());
+            trace.push_sample(from_s, platoon.motion.iter().copied());
         }
         for (tally, motion) in tallies.iter_mut().zip(&platoon.motion) {
             tally.max_brake_mps2 = hardest_brake_mps2(tally.max_brake_mps2, motion.acceleration_mps2);
         }
-        let Pace { dt_s, after_contact, .. } = self.pace;
+        let TimeGrid { dt_s, after_contact, .. } = self.time_grid;
         let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
-        see_ttc(tallies, platoon);
+        update_min_ttc(tallies, platoon);
         if after_contact == AfterContact::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
-                trace.sample(from_s + done_s, platoon.motion.iter().copied());
+                trace.push_sample(from_s + done_s, platoon.motion.iter().copied());
             }
             self.ended = true;
         }
@@ -259,16 +259,16 @@ impl Stepper {
 
     /// What became of the run.
     #[must_use]
-    pub fn finish(mut self) -> Simulated {
+    pub fn finish(mut self) -> SimulationResult {
         if let Some(trace) = &mut self.trace
-            && (self.impacts.is_empty() || self.pace.after_contact == AfterContact::Continue)
+            && (self.impacts.is_empty() || self.time_grid.after_contact == AfterContact::Continue)
         {
-            trace.sample(self.pace.time_s(self.step, 0), self.platoon.motion.iter().copied());
+            trace.push_sample(self.time_grid.time_s(self.step, 0), self.platoon.motion.iter().copied());
         }
-        let step_s = self.pace.step_s;
+        let step_s = self.time_grid.step_s;
         let interventions = self.loops.iter().enumerate().flat_map(|(index, vehicle)| match &vehicle.driver {
-            ActiveDriver::Controller(controller) => interventions(controller, index, step_s),
-            ActiveDriver::Profile(_) => Vec::new(),
+            VehicleController::Controller(controller) => interventions(controller, index, step_s),
+            VehicleController::Profile(_) => Vec::new(),
         });
         let interventions = interventions.collect();
         if let Some(trace) = &mut self.trace {
@@ -276,22 +276,22 @@ impl Stepper {
                 track.in_lane_s = self.platoon.lane.in_lane_s(vehicle);
             }
         }
-        let vehicles = self.platoon.min_gap_m.iter().zip(self.tallies).zip(&self.platoon.motion);
+        let vehicles = self.platoon.min_gap_m.iter().zip(self.extremes).zip(&self.platoon.motion);
         let vehicles =
-            vehicles.map(|((&min_gap_m, tally), motion)| summary(min_gap_m, tally, motion.speed_mps)).collect();
-        finished(self.impacts, vehicles, interventions, self.trace, self.failed)
+            vehicles.map(|((&min_gap_m, tally), motion)| summarize_vehicle(min_gap_m, tally, motion.speed_mps)).collect();
+        assemble_result(self.impacts, vehicles, interventions, self.trace, self.failed)
     }
 }
 
-fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
-    let see = |tally: &mut Tally, gap_m: f64, closing_mps: f64| {
+fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
+    let see = |tally: &mut VehicleExtremes, gap_m: f64, closing_mps: f64| {
         let ttc_s = ttc_s(gap_m, closing_mps);
         // By hand, since `f64::min` spends time on NaN, of which there is none here.
         if ttc_s < tally.min_ttc_s {
             tally.min_ttc_s = ttc_s;
         }
     };
-    if platoon.lane.is_plain() {
+    if platoon.lane.is_constant() {
         // Most runs, and most steps: whoever is ahead is the one before in the list.
         let pairs = platoon.motion.windows(2).zip(&platoon.length_m);
         for (tally, (pair, length_m)) in tallies.iter_mut().skip(1).zip(pairs) {
@@ -310,81 +310,81 @@ fn see_ttc(tallies: &mut [Tally], platoon: &Platoon) {
 
 /// The control loop of one vehicle: from what is true to the acceleration the vehicle has.
 struct VehicleLoop {
-    driver: ActiveDriver<LeadProfile>,
+    driver: VehicleController<LeadProfile>,
     /// Apart, and nothing where the truth is seen: of a thousand runs under way what every step needs should lie close together.
     estimator: Option<Box<EgoEstimator>>,
     actuator: Actuator,
     disturbance: Option<Disturbance>,
     /// What was seen at this step, if somebody has looked: the filters take one measurement a step.
-    seen: Option<Observation>,
+    observation: Option<Observation>,
     /// Whom the filters follow: ahead and behind.
-    followed: [Option<usize>; 2],
+    tracked_neighbours: [Option<usize>; 2],
     /// What somebody else decided for this step.
     command_mps2: Option<f64>,
 }
 
 impl VehicleLoop {
-    fn new(run: &Run, index: usize, platoon: &Platoon) -> Self {
+    fn new(run: &Run, index: usize, platoon: &PlatoonState) -> Self {
         Self {
-            driver: match run.driver(index) {
-                ActiveDriver::Profile(profile) => ActiveDriver::Profile(profile.clone()),
-                ActiveDriver::Controller(controller) => ActiveDriver::Controller(controller),
+            driver: match run.start_driver(index) {
+                VehicleController::Profile(profile) => VehicleController::Profile(profile.clone()),
+                VehicleController::Controller(controller) => VehicleController::Controller(controller),
             },
             estimator: run.estimator(index, platoon).map(Box::new),
             actuator: run.actuator(index),
             disturbance: run.disturbance(index),
-            seen: None,
-            followed: [platoon.lane.ahead(index), platoon.lane.behind(index)],
+            observation: None,
+            tracked_neighbours: [platoon.lane.ahead(index), platoon.lane.behind(index)],
             command_mps2: None,
         }
     }
 
-    fn observe(&mut self, platoon: &Platoon, index: usize) -> Observation {
-        if let Some(seen) = self.seen {
+    fn observe(&mut self, platoon: &PlatoonState, index: usize) -> Observation {
+        if let Some(seen) = self.observation {
             return seen;
         }
-        let truth = truth(platoon, index);
+        let truth = true_state(platoon, index);
         let seen = match &mut self.estimator {
             Some(estimator) => {
                 let neighbours = [platoon.lane.ahead(index), platoon.lane.behind(index)];
-                if neighbours != self.followed {
-                    let changed = [0, 1].map(|side| neighbours[side] != self.followed[side]);
-                    estimator.follow_others(&truth, changed);
-                    self.followed = neighbours;
+                if neighbours != self.tracked_neighbours {
+                    let changed = [0, 1].map(|side| neighbours[side] != self.tracked_neighbours[side]);
+                    estimator.switch_neighbours(&truth, changed);
+                    self.tracked_neighbours = neighbours;
                 }
                 estimator.observe(&truth)
             }
             None => truth.observation,
         };
-        *self.seen.insert(seen)
+        *self.observation.insert(seen)
     }
 
-    fn decide(&mut self, platoon: &Platoon, index: usize, [from_s, to_s]: [f64; 2]) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, platoon: &PlatoonState, index: usize, [from_s, to_s]: [f64; 2]) -> Result<f64, ControllerFailure> {
         // Filters take every measurement; who is driven by a script or from outside need not look at the truth.
         if self.estimator.is_some() {
             self.observe(platoon, index);
         }
-        let seen = self.seen.take();
+        let seen = self.observation.take();
         let speed_mps = platoon.motion[index].speed_mps;
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
-            (None, ActiveDriver::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
-            (None, ActiveDriver::Controller(controller)) => match seen {
+            (None, VehicleController::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
+            (None, VehicleController::Controller(controller)) => match seen {
                 Some(seen) => controller.decide(&seen)?,
-                None => controller.decide(&truth(platoon, index).observation)?,
+                None => controller.decide(&true_state(platoon, index).observation)?,
             },
         };
-        Ok(self.answer(command_mps2, speed_mps, platoon.is_stuck(index)))
+        Ok(self.actuate(command_mps2, speed_mps, platoon.is_locked(index)))
     }
 
     /// The acceleration that the vehicle has of a command, in m/s².
     #[inline]
-    fn answer(&mut self, command_mps2: f64, speed_mps: f64, is_stuck: bool) -> f64 {
+    fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_stuck: bool) -> f64 {
         let acceleration_mps2 = self.actuator.respond(command_mps2);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
         match is_stuck {
             true => acceleration_mps2 + noise_mps2,
-            false => unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
+            false => add_noise_unless_at_rest(acceleration_mps2, noise_mps2, speed_mps),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::lane::SAME_INSTANT_S;
+use super::lane::TIME_TOLERANCE_S;
 use super::motion::Motion;
 
 /// The recorded motion of all vehicles of one run.
@@ -48,7 +48,7 @@ impl Track {
     #[must_use]
     pub fn is_in_lane(&self, time_s: f64) -> bool {
         let [from_s, to_s] = self.in_lane_s;
-        from_s - SAME_INSTANT_S <= time_s && time_s < to_s - SAME_INSTANT_S
+        from_s - TIME_TOLERANCE_S <= time_s && time_s < to_s - TIME_TOLERANCE_S
     }
 
     /// How it moved at a sample, and from there on.
@@ -83,27 +83,27 @@ impl Trace {
     /// The pairs of a vehicle and whoever was ahead of it in the lane, in order of time: none for the leader, one where nobody
     /// enters or leaves.
     #[must_use]
-    pub fn pairs(&self, rear: usize) -> Vec<Pair<'_>> {
+    pub fn pairs(&self, rear: usize) -> Vec<VehiclePair<'_>> {
         let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else { return Vec::new() };
         let mut changes_s: Vec<f64> = ahead.iter().chain([rear]).flat_map(|track| track.in_lane_s).collect();
         changes_s.extend(Track::THROUGHOUT_S);
         changes_s.sort_by(f64::total_cmp);
         changes_s.dedup();
         // Who leaves at the start was never there.
-        let before_s = self.time_s.first().map_or(f64::NEG_INFINITY, |first_s| first_s + SAME_INSTANT_S);
-        let mut pairs: Vec<Pair<'_>> = Vec::new();
+        let before_s = self.time_s.first().map_or(f64::NEG_INFINITY, |first_s| first_s + TIME_TOLERANCE_S);
+        let mut pairs: Vec<VehiclePair<'_>> = Vec::new();
         for (&from_s, &to_s) in changes_s.iter().zip(changes_s.iter().skip(1)).filter(|(_, to_s)| **to_s > before_s) {
             let is_there = |track: &&Track| track.in_lane_s[0] <= from_s && to_s <= track.in_lane_s[1];
             let Some(front_vehicle) = ahead.iter().rposition(|track| is_there(&track)).filter(|_| is_there(&rear))
             else {
                 continue;
             };
-            let goes_on = |last: &&mut Pair<'_>| last.front_vehicle == front_vehicle && last.span_s[1] == from_s;
+            let goes_on = |last: &&mut VehiclePair<'_>| last.front_vehicle == front_vehicle && last.span_s[1] == from_s;
             match pairs.last_mut().filter(goes_on) {
                 Some(last) => last.span_s[1] = to_s,
                 None => {
                     let front = &ahead[front_vehicle];
-                    pairs.push(Pair { time_s: &self.time_s, front_vehicle, front, rear, span_s: [from_s, to_s] });
+                    pairs.push(VehiclePair { time_s: &self.time_s, front_vehicle, front, rear, span_s: [from_s, to_s] });
                 }
             }
         }
@@ -114,7 +114,7 @@ impl Trace {
     #[must_use]
     pub fn gaps_m(&self, rear: usize) -> Vec<Option<f64>> {
         let mut gaps_m = vec![None; self.len()];
-        for (sample, gap_m) in self.pairs(rear).iter().flat_map(Pair::gaps_m) {
+        for (sample, gap_m) in self.pairs(rear).iter().flat_map(VehiclePair::gaps_m) {
             if let Some(at_sample) = gaps_m.get_mut(sample) {
                 *at_sample = Some(gap_m);
             }
@@ -123,7 +123,7 @@ impl Trace {
     }
 
     /// Who is ahead of a vehicle in the lane at each sample.
-    pub fn ahead(&self, rear: usize) -> impl Iterator<Item = Option<&Track>> {
+    pub fn leaders(&self, rear: usize) -> impl Iterator<Item = Option<&Track>> {
         let own = self.vehicles.get(rear);
         self.time_s.iter().map(move |&time_s| {
             own.filter(|own| own.is_in_lane(time_s))?;
@@ -134,7 +134,7 @@ impl Trace {
 
 /// Two successive vehicles of a trace, as long as nobody was between them.
 #[derive(Debug, Clone, Copy)]
-pub struct Pair<'a> {
+pub struct VehiclePair<'a> {
     /// Time of each sample in seconds.
     pub time_s: &'a [f64],
     /// Index of the vehicle ahead.
@@ -147,7 +147,7 @@ pub struct Pair<'a> {
     pub span_s: [f64; 2],
 }
 
-impl<'a> Pair<'a> {
+impl<'a> VehiclePair<'a> {
     /// Bumper gap in metres at each sample of that time, with the sample's number.
     pub fn gaps_m(&self) -> impl Iterator<Item = (usize, f64)> + use<'a> {
         let Self { front, rear, .. } = *self;
@@ -160,8 +160,8 @@ impl<'a> Pair<'a> {
     /// The samples of that time, both ends included.
     pub(crate) fn samples(&self) -> Range<usize> {
         let [from_s, to_s] = self.span_s;
-        let first = self.time_s.partition_point(|&time_s| time_s < from_s - SAME_INSTANT_S);
-        let end = self.time_s.partition_point(|&time_s| time_s <= to_s + SAME_INSTANT_S);
+        let first = self.time_s.partition_point(|&time_s| time_s < from_s - TIME_TOLERANCE_S);
+        let end = self.time_s.partition_point(|&time_s| time_s <= to_s + TIME_TOLERANCE_S);
         first..end
     }
 

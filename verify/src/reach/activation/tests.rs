@@ -5,7 +5,7 @@ use num_traits::Float;
 use proptest::prelude::*;
 
 /// What it makes of a number: in single precision, as a network computes it, or in double for real numbers.
-fn value<F: Float>(each: &Each, x: F) -> F {
+fn evaluate<F: Float>(each: &Each, x: F) -> F {
     let number_of = |number: f64| F::from(number).unwrap();
     let of = |operands: &[f64]| number_of(operands[0]);
     let below = |value: F| if x < F::zero() { value } else { x };
@@ -22,28 +22,28 @@ fn value<F: Float>(each: &Each, x: F) -> F {
     }
 }
 
-fn any_single(size: f32) -> impl Strategy<Value = f64> {
+fn any_f32(size: f32) -> impl Strategy<Value = f64> {
     (-size..size).prop_map(f64::from)
 }
 
-fn any_each() -> impl Strategy<Value = Each> {
+fn any_activation() -> impl Strategy<Value = Each> {
     let one = |numbers: f64| vec![numbers];
     prop_oneof![
         Just(Each::Relu),
-        prop_oneof![Just(0.0), Just(1.0), any_single(2.0)].prop_map(Each::LeakyRelu),
-        prop_oneof![Just(0.0), Just(1.0), any_single(2.0)].prop_map(Each::Elu),
+        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Each::LeakyRelu),
+        prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Each::Elu),
         Just(Each::Tanh),
         Just(Each::Sigmoid),
-        any_single(10.0).prop_map(move |a| Each::Add(one(a))),
-        any_single(10.0).prop_map(move |a| Each::Multiply(one(a))),
-        any_single(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Each::Divide(one(a))),
-        (any_single(3.0), 0.0..3.0_f32)
+        any_f32(10.0).prop_map(move |a| Each::Add(one(a))),
+        any_f32(10.0).prop_map(move |a| Each::Multiply(one(a))),
+        any_f32(10.0).prop_filter("not 0", |a| *a != 0.0).prop_map(move |a| Each::Divide(one(a))),
+        (any_f32(3.0), 0.0..3.0_f32)
             .prop_map(move |(low, more)| { Each::Clip { low: one(low), high: one(f64::from(low as f32 + more)) } }),
     ]
 }
 
 /// Where a function less a line of this slope may be extreme, besides at the ends.
-fn turns(each: &Each, slope: f64) -> Vec<f64> {
+fn extremum_candidates(each: &Each, slope: f64) -> Vec<f64> {
     let either = |x: f64| vec![-x, x];
     match each {
         Each::Relu | Each::LeakyRelu(_) => vec![0.0],
@@ -56,7 +56,7 @@ fn turns(each: &Each, slope: f64) -> Vec<f64> {
 }
 
 /// What rounding to single precision may add to results between two ends, by the table above.
-fn rounding(each: &Each, low: f64, high: f64) -> f64 {
+fn expected_rounding(each: &Each, low: f64, high: f64) -> f64 {
     let u = 2.0_f64.powi(-24);
     let largest = [low, high].map(|x| value(each, x).abs()).into_iter().fold(0.0, f64::max);
     match each {
@@ -137,7 +137,7 @@ proptest! {
     #[test]
     fn what_is_made_of_a_form_is_its_line(each in any_each(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
         let x = Form::symbol(0, Interval::new(low, low + width).unwrap());
-        let (line, made) = (each.line(0, x.range().low(), x.range().high()), each.of_form(0, &x));
+        let (line, made) = (each.line(0, x.range().low(), x.range().high()), each.apply(0, &x));
         let (middle, radius) = line.middle_and_radius();
         let near = 1e-13 * (1.0 + low.abs() + width) * (1.0 + line.slope.abs()) + 1e-13 * middle.abs();
         prop_assert!((made.centre() - (line.slope * x.centre() + middle)).abs() <= near);
@@ -157,25 +157,25 @@ fn what_is_straight_stays_as_it_is() {
             assert!(each.line(0, low, high).is_identity(), "{each:?}");
         }
         let x = Form::symbol(0, Interval::new(0.5, 2.0).unwrap());
-        assert_eq!(each.of_form(0, &x), x);
+        assert_eq!(each.apply(0, &x), x);
     }
     for (low, high) in [(-2.0, 0.0), (-2.0, -1.0)] {
         let line = Each::Relu.line(0, low, high);
-        assert!(line.is_level() && line == Line::level(0.0));
+        assert!(line.is_constant() && line == Line::level(0.0));
     }
     for (each, cut) in
         [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| (Each::Clip { low, high: one(high) }, high))
     {
         for (low, high) in [(3.0, 3.0), (3.0, 7.0), (cut, 7.0)] {
             let line = each.line(0, low, high);
-            assert!(line.is_level() && line.low == cut, "{each:?} {line:?}");
+            assert!(line.is_constant() && line.low == cut, "{each:?} {line:?}");
         }
     }
     let below = Each::Clip { low: one(-1.0), high: one(2.0) }.line(0, -7.0, -1.0);
-    assert!(below.is_level() && below.low == -1.0);
+    assert!(below.is_constant() && below.low == -1.0);
     let level = Line::level(2.0);
     for line in [Line { slope: 1.0, ..level }, Line { high: 3.0, ..level }, Line { rounding: 1e-9, ..level }] {
-        assert!(!line.is_level() && level.is_level());
+        assert!(!line.is_constant() && level.is_constant());
     }
 }
 

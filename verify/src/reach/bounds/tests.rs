@@ -6,7 +6,7 @@ use proptest::prelude::*;
 const NUMBERS: usize = 3;
 
 /// Inputs that share two symbols.
-fn inputs(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [Form; NUMBERS] {
+fn input_forms(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMBERS]) -> [Form; NUMBERS] {
     std::array::from_fn(|i| {
         let mut form = Form::constant(Interval::point(centres[i]));
         form.replace(0, terms[i].into_iter(), rests[i]);
@@ -15,7 +15,7 @@ fn inputs(centres: [f64; NUMBERS], terms: [[f64; 2]; NUMBERS], rests: [f64; NUMB
 }
 
 /// Bounds of as many numbers as there are inputs, with slopes, two columns of their own, and ρ.
-fn bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> Bounds {
+fn network_bounds(centre: [f64; NUMBERS], columns: [[f64; NUMBERS]; NUMBERS + 2], rho: [f64; NUMBERS]) -> Bounds {
     Bounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
 }
 
@@ -23,7 +23,7 @@ fn is_near(found: f64, expected: f64, relative: f64) -> bool {
     (found - expected).abs() <= relative * expected.abs()
 }
 
-fn sizes(numbers: &[f64]) -> f64 {
+fn abs_sum(numbers: &[f64]) -> f64 {
     numbers.iter().map(|number| number.abs()).sum()
 }
 
@@ -61,9 +61,9 @@ proptest! {
             let own = column(NUMBERS, number).abs() + column(NUMBERS + 1, number).abs();
             let shared = [0, 1].map(|symbol| (0..NUMBERS).map(|i| slopes[i] * terms[i][symbol]).sum::<f64>());
             let apart: f64 = (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].radius()).sum();
-            let together = sizes(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SLACK * apart;
+            let together = sizes(&shared) + (0..NUMBERS).map(|i| slopes[i].abs() * inputs[i].rest()).sum::<f64>() + 2.0 * SUM_REL_ERROR * apart;
             let bent = |by: f64| {
-                let radius = (by + own + rho[number]) * (1.0 + SLACK);
+                let radius = (by + own + rho[number]) * (1.0 + SUM_REL_ERROR);
                 (centre[number] - radius, centre[number] + radius)
             };
             let (low, high) = if bent(apart).0 < 0.0 && bent(apart).1 > 0.0 { bent(together) } else { bent(apart) };
@@ -86,7 +86,7 @@ proptest! {
                 }
                 let size = centre[number].abs() + apart + own + 2.0 * half;
                 let relative = if is_sure { 1e-9 } else { 2e-13 };
-                prop_assert!(is_near(found.rho[number], rho[number] * slope + SLACK * size, relative));
+                prop_assert!(is_near(found.rho[number], rho[number] * slope + SUM_REL_ERROR * size, relative));
             }
         }
         prop_assert!(excess.next().is_none());
@@ -98,7 +98,7 @@ proptest! {
         let mut found = Bounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
         found.each(&Each::Multiply(vec![factor]), &Inputs::new(&[]));
         let line = Each::Multiply(vec![factor]).line(0, centre - own, centre + own);
-        let expected = SLACK * (centre + own) * factor + line.rounding;
+        let expected = SUM_REL_ERROR * (centre + own) * factor + line.rounding;
         prop_assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
         prop_assert!(found.excess.is_empty() && found.columns == [own * factor]);
     }
@@ -112,14 +112,14 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
         (0..wide).map(|i| Form::symbol(i % 7, Interval::new(0.25, 1.0 + i as f64 / wide as f64).unwrap())).collect();
     let weights: Vec<f64> = (0..wide).map(|i| if i % 3 == 0 { -0.5 } else { 0.25 }).collect();
     let layer = Layer { inputs: wide, outputs: 1, weights: weights.clone(), biases: vec![3.0] };
-    let mut bounds = Bounds::of_inputs(&inputs);
+    let mut bounds = Bounds::from_inputs(&inputs);
     bounds.rho.fill(1e-3);
     bounds.excess.push((5, 0.125));
     // A column of its own.
     bounds.columns.extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
     let found = bounds.through(&layer, &Inputs::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
-    let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SLACK;
+    let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
     let of = |i: usize| {
         let own = [(5, 0.125), (8, 0.25)].into_iter().find(|(at, _)| *at == i).map_or(0.0, |(_, own)| own);
         let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + own;
@@ -127,7 +127,7 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     };
     let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
     assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
-    assert!(found.rho[0] > expected * (1.0 + 0.9 * SLACK));
+    assert!(found.rho[0] > expected * (1.0 + 0.9 * SUM_REL_ERROR));
     let centre = 3.0 + inputs.iter().zip(&weights).map(|(input, weight)| input.centre() * weight).sum::<f64>();
     assert!(is_near(found.centre[0], centre, 1e-12));
     assert_eq!(found.columns.last(), Some(&(weights[5] * 0.125)));
@@ -138,7 +138,7 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
 fn functions_may_follow_each_other() {
     let inputs = inputs([0.0, 1.0, 2.0], [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]], [0.0, 0.125, 0.0]);
     let known = Inputs::new(&inputs);
-    let mut found = Bounds::of_inputs(&inputs);
+    let mut found = Bounds::from_inputs(&inputs);
     found.each(&Each::Relu, &known);
     assert_eq!(found.excess.len(), 2);
     found.each(&Each::Multiply(vec![2.0; NUMBERS]), &known);
@@ -147,11 +147,11 @@ fn functions_may_follow_each_other() {
     // From [-1, 1]: half of it and 1/4 on either side, twice.
     assert!(is_near(form.rest(), 0.5, 1e-6) && is_near(form.centre(), 0.5, 1e-6) && form.terms()[0] == 1.0);
     assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
-    let mut alone = Bounds::of_inputs(&inputs);
+    let mut alone = Bounds::from_inputs(&inputs);
     alone.each(&Each::Relu, &known);
     let rho = alone.rho[0];
     let form = alone.form(0, &inputs).unwrap();
-    let rest = (0.25 + rho) * (1.0 + 0.9 * SLACK);
+    let rest = (0.25 + rho) * (1.0 + 0.9 * SUM_REL_ERROR);
     assert!(form.rest() >= rest && is_near(form.rest(), rest, 1e-11), "{form:?}");
 }
 

@@ -1,11 +1,11 @@
 use proptest::prelude::*;
 
-use super::super::cases::{any, assert_bounds, from};
+use super::super::fixtures::{any, assert_bounds, from};
 use super::*;
 
 const STEP_S: f64 = 0.1;
 
-fn braking(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braking {
+fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braking {
     let form = |symbol, [low, high]: [f64; 2]| any(symbol, low, high);
     let onset_range = from(onsets[0], onsets[1]);
     Braking::new(form(0, speeds), form(1, rates), form(2, onsets), onset_range, Interval::point(STEP_S))

@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::cases::{any, assert_bounds, exactly, from, start};
+use super::super::fixtures::{any, assert_bounds, exactly, from, start};
 use super::*;
 
 const IDM: Idm = Idm {
@@ -52,7 +52,7 @@ fn any_acc() -> impl Strategy<Value = AccAeb> {
 }
 
 /// What `idm` wants, and how large what it is the difference of is.
-fn wanted_by_idm(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
+fn idm_acceleration(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
     let dynamic = v * law.time_headway_s + v * (v - w) / (2.0 * (law.accel_mps2 * law.comfortable_brake_mps2).sqrt());
     let share = (law.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
     let fourth = (v / law.desired_speed_mps).powi(4);
@@ -61,13 +61,13 @@ fn wanted_by_idm(law: &Idm, [gap, v, w]: [f64; 3]) -> (f64, f64) {
 }
 
 /// What `acc-aeb` wants where its emergency brake does not fire.
-fn wanted_by_acc(law: &AccAeb, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
+fn acc_acceleration(law: &AccAeb, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
     let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
     let wanted = (law.speed_gain_per_s * (u - v)).min(follow + law.speed_gain_per_s * (w - v));
     wanted.max(-law.comfort_brake_mps2).min(law.comfort_accel_mps2)
 }
 
-fn sight(gap: Form, speed: Form, ahead: &Form) -> Sight {
+fn law_input(gap: Form, speed: Form, ahead: &Form) -> Sight {
     let closing = speed.clone().minus(ahead);
     Sight { gap, speed, closing, least_mps: 0.0 }
 }
@@ -78,7 +78,7 @@ fn point([gap, v, w]: [f64; 3]) -> Sight {
 
 const BRAKE: [f64; 2] = [7.0, 9.0];
 
-fn behind<'a>(law: &'a Law, set_speed: Form, brake: Form, start_gap: &'a Form) -> Behind<'a> {
+fn law_follower<'a>(law: &'a Law, set_speed: Form, brake: Form, start_gap: &'a Form) -> Behind<'a> {
     Behind { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
 }
 
@@ -88,12 +88,12 @@ proptest! {
     fn what_idm_wants_of_one_sight_is_its_formula(
         law in any_idm(), gap in prop_oneof![0.02..0.5_f64, 0.5..60.0_f64], v in 0.0..40.0_f64, w in 0.0..40.0_f64,
     ) {
-        let (expected, size) = wanted_by_idm(&law, [gap, v, w]);
+        let (expected, size) = idm_acceleration(&law, [gap, v, w]);
         let seen = point([gap, v, w]);
         assert_bounds(law.plainly(&seen), [expected; 2], 1e-12 * size);
         assert_bounds(law.wanted(&seen, &exactly(8.0)).range(), [expected; 2], 1e-11 * size);
         // A gap that is nearly nothing counts as a centimetre.
-        let (expected, size) = wanted_by_idm(&law, [0.004, v, w]);
+        let (expected, size) = idm_acceleration(&law, [0.004, v, w]);
         assert_bounds(law.plainly(&point([0.004, v, w])), [expected; 2], 1e-12 * size);
     }
 
@@ -120,7 +120,7 @@ proptest! {
             prop_assert!(found.terms().iter().any(|&term| term != 0.0), "{found:?} {plain:?}");
         }
         let at: Vec<f64> = ends.iter().zip(places).map(|([low, high], place)| low + place * (high - low)).collect();
-        let true_one = wanted_by_idm(&IDM, [at[0], at[1], at[2]]).0.clamp(-8.0, 3.0);
+        let true_one = idm_acceleration(&IDM, [at[0], at[1], at[2]]).0.clamp(-8.0, 3.0);
         let range = found.range();
         prop_assert!(range.low() <= true_one + 1e-9 && true_one - 1e-9 <= range.high(), "{true_one} {range:?}");
     }
@@ -132,7 +132,7 @@ proptest! {
     ) {
         let guard = gap - law.ttc_s * (v - w);
         prop_assume!(guard.abs() > 1e-9);
-        let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { wanted_by_acc(&law, u, [gap, v, w]) };
+        let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, u, [gap, v, w]) };
         let expected = wanted.max(-8.0).min(law.max_accel_mps2);
         let (law, start_gap) = (Law::AccAeb(law), Form::default());
         let found = behind(&law, exactly(u), exactly(8.0), &start_gap).acceleration(&point([gap, v, w]));
@@ -158,13 +158,13 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     // Closing at 1 m/s, it fires below 5 m.
     let at =
         |low: f64, high: f64| behind.acceleration(&sight(any(0, low, high), exactly(20.0), &exactly(19.0))).range();
-    assert_bounds(at(4.0, 30.0), [-BRAKE[1], wanted_by_acc(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
+    assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
-    let follows = [29.0, 30.0].map(|gap| wanted_by_acc(&ACC, 25.0, [gap, 20.0, 19.0]));
+    let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
     // Exactly at the limit it does not fire.
     let stands = Sight { gap: Form::default(), speed: Form::default(), closing: Form::default(), least_mps: 0.0 };
-    let expected = wanted_by_acc(&ACC, 25.0, [0.0; 3]);
+    let expected = acc_acceleration(&ACC, 25.0, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
 }
 
@@ -211,7 +211,7 @@ fn a_step_by_a_law_is_the_closed_form() {
         |distance, speed| Seen { distance: exactly(distance), speed: exactly(speed), acceleration: Form::default() };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.stepped(&own, &ego);
-    let u = wanted_by_acc(&ACC, 16.0, [22.0, 15.0, 14.0]);
+    let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);
     // What it sees may be off by a nanometre.
     assert_bounds(asked.range(), [u; 2], 1e-8);
     assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);

@@ -1,4 +1,4 @@
-use super::super::cases::{from, start};
+use super::super::fixtures::{from, start};
 use super::*;
 
 /// A cut leaves nobody out, and is in the middle; where there is no number in between there is none.

@@ -5,12 +5,12 @@ use num_rational::BigRational;
 use num_traits::FromPrimitive;
 use proptest::prelude::*;
 
-fn exact(value: f64) -> BigRational {
+fn rational(value: f64) -> BigRational {
     BigRational::from_f64(value).unwrap()
 }
 
 /// The slope of a function of one symbol, and what is off its line: the middle, and the most on either side.
-fn line_of(f: impl Fn(&Form) -> Form, low: f64, high: f64) -> (f64, [f64; 2]) {
+fn slope_and_offset(f: impl Fn(&Form) -> Form, low: f64, high: f64) -> (f64, [f64; 2]) {
     let x = Form::symbol(0, Interval::new(low, high).unwrap());
     let line = f(&x);
     let slope = line.terms()[0] / x.terms()[0];
@@ -31,7 +31,7 @@ fn extremes(f: impl Fn(f64) -> f64, slope: f64, [low, high]: [f64; 2], places: &
 }
 
 /// Numbers of every size.
-fn of_any_size() -> impl Strategy<Value = f64> {
+fn any_magnitude() -> impl Strategy<Value = f64> {
     (-12.0..3.0_f64).prop_map(|exponent| 10.0_f64.powf(exponent))
 }
 
@@ -40,7 +40,7 @@ proptest! {
 
     /// In rational arithmetic: the excess holds what is off the line at both ends, and hardly more, however unlike the ends are.
     #[test]
-    fn a_rectifier_exceeds_its_chord_by_what_is_said(below in of_any_size(), high in of_any_size()) {
+    fn a_rectifier_exceeds_its_chord_by_what_is_said(below in any_magnitude(), high in any_magnitude()) {
         let (slope, excess) = rectifier(-below, high);
         let (s, m) = (exact(slope), exact(excess));
         let at_ends = [&s * exact(below), (exact(1.0) - &s) * exact(high)];
@@ -114,7 +114,7 @@ proptest! {
 
     #[test]
     fn exponentials_and_tangents_are_next_to_what_they_are(y in 0.0..40.0_f64, z in -30.0..30.0_f64) {
-        let power = exp_minus(y);
+        let power = exp_neg(y);
         prop_assert!(power.low() <= (-y).exp() * (1.0 + 1e-15) && (-y).exp() * (1.0 - 1e-15) <= power.high());
         prop_assert!(power.high() - power.low() <= 1e-11 * power.high());
         let tangent = tanh(z);

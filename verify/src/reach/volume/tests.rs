@@ -1,10 +1,10 @@
 use num_rational::BigRational;
 use proptest::prelude::*;
 
-use super::super::cases::from;
+use super::super::fixtures::from;
 use super::*;
 
-fn exact(number: f64) -> BigRational {
+fn rational(number: f64) -> BigRational {
     BigRational::from_float(number).unwrap()
 }
 
@@ -41,7 +41,7 @@ proptest! {
         for [low, high] in [[low, high], [low.next_down(), high], [low, high.next_up()], [low.next_down(), high.next_up()]] {
             let (middle, whole) = (0.5 * low + 0.5 * high, from(low, high));
             for part in [from(low, middle), from(middle, high)] {
-                let (found, expected) = (share_of_cut(share, part, whole), exact(share) * size(part) / size(whole));
+                let (found, expected) = (part_share(share, part, whole), exact(share) * size(part) / size(whole));
                 prop_assert!(exact(found) <= expected);
                 if size(part) + size(part) == size(whole) {
                     prop_assert_eq!(found, 0.5 * share);
@@ -57,11 +57,11 @@ proptest! {
 #[test]
 fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
     let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up())).take(4).collect();
-    assert_eq!(share_of_cut(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[2])), 0.5);
-    let third = share_of_cut(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[3]));
+    assert_eq!(part_share(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[2])), 0.5);
+    let third = part_share(1.0, from(numbers[0], numbers[1]), from(numbers[0], numbers[3]));
     assert!(third <= 1.0 / 3.0 && third > 1.0 / 3.0 - 1e-14);
     // The widths of these are no numbers, but the one is half of the other.
     let (low, high) = (-1.0_f64.next_down(), 1.0_f64.next_up());
     let middle = 0.5 * low + 0.5 * high;
-    assert_eq!(share_of_cut(0.7, from(low, middle), from(low, high)), 0.35);
+    assert_eq!(part_share(0.7, from(low, middle), from(low, high)), 0.35);
 }

@@ -1,18 +1,18 @@
 use proptest::prelude::*;
 
-use super::super::cases::{constant, exactly, scene, start};
+use super::super::fixtures::{constant, exactly, scene, start};
 use super::*;
 
-const ANYWHERE: [f64; 8] = [20.0; 8];
+const DEFAULT_POINT: [f64; 8] = [20.0; 8];
 
-fn members(kind: Kind) -> Members {
-    let mut members = Members::starting(exactly(10.0), 9);
+fn egos_of_mode(kind: Kind) -> EgoSet {
+    let mut members = EgoSet::starting(exactly(10.0), 9);
     members.kind = kind;
     members
 }
 
 /// A decision interval of so many steps in which some of these kinds may fire.
-fn window(k: u32, every: u32, fire: &[Kind]) -> Window {
+fn firing_window(k: u32, every: u32, fire: &[Kind]) -> Window {
     let mut window = Window::at(k);
     fire.iter().for_each(|&kind| window.note(kind, [f64::from(k), f64::from(k + every - 1)]));
     window.members = Kind::ALL.map(|kind| Some(members(kind)));
@@ -20,9 +20,9 @@ fn window(k: u32, every: u32, fire: &[Kind]) -> Window {
 }
 
 /// First decision, and first and last instant, of what so many windows in a row become.
-fn merged_of(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
+fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(u32, [f64; 2])> {
     let actor = constant(0.0);
-    let scene = Scene { step_s, decision_steps: every, ..scene(&actor, start(ANYWHERE)) };
+    let scene = Scene { step_s, decision_steps: every, ..scene(&actor, start(DEFAULT_POINT)) };
     let windows = ks.map(|k| window(k, every, &[Kind::Moving])).collect();
     merged(windows, &scene).iter().map(|window| (window.k, window.instants)).collect()
 }
@@ -48,7 +48,7 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
         (0.3, 1, 300, 1),
     ];
     for (step_s, every, count, length) in cases {
-        let found = merged_of(step_s, every, (0..count).map(|i| 7 + i * every));
+        let found = merged_spans(step_s, every, (0..count).map(|i| 7 + i * every));
         let end = 7 + count * every;
         let expected: Vec<(u32, [f64; 2])> = (7..end)
             .step_by(length)
@@ -62,7 +62,7 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
 #[test]
 fn a_pause_ends_a_window_if_it_is_long() {
     let ks = [0, 1, 4, 5, 6, 7, 20, 22, 23, 24, 25].into_iter();
-    let found: Vec<u32> = merged_of(0.01, 1, ks).into_iter().map(|(k, _)| k).collect();
+    let found: Vec<u32> = merged_spans(0.01, 1, ks).into_iter().map(|(k, _)| k).collect();
     // Two steps each.
     assert_eq!(found, [0, 4, 6, 20, 22, 24]);
 }
@@ -75,7 +75,7 @@ proptest! {
         skipped in prop::collection::vec(0..3_u32, 1..120),
     ) {
         let ks: Vec<u32> = skipped.iter().scan(0, |k, skip| { *k += every * (1 + skip); Some(*k) }).collect();
-        let found = merged_of(step_s, every, ks.iter().copied());
+        let found = merged_spans(step_s, every, ks.iter().copied());
         prop_assert!(found.windows(2).all(|pair| pair[0].0 < pair[1].0));
         for k in ks {
             let (from, instants) = found.iter().rev().find(|(from, _)| *from <= k).unwrap();
@@ -88,7 +88,7 @@ proptest! {
 #[test]
 fn who_fires_in_a_later_interval_was_of_a_kind_that_it_can_have_been_before() {
     let actor = constant(0.0);
-    let scene = Scene { step_s: 0.01, ..scene(&actor, start(ANYWHERE)) };
+    let scene = Scene { step_s: 0.01, ..scene(&actor, start(DEFAULT_POINT)) };
     for (later, expected) in [
         (&[Kind::Moving][..], [true, false, false]),
         (&[Kind::Standing], [true; 3]),

@@ -3,10 +3,10 @@
 use crumple_verify::reach::{Actor, Departure, Each, Follower, Idm, Input, Law, Layer, Scene, Step};
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
-pub type Start = [f64; 8];
+pub type InitialState = [f64; 8];
 
 /// The network's answer in single precision: an acceleration, or an action; products added up in order; each is rounded by itself here, where what is deployed fuses them: bounds cover either.
-pub fn act(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
+pub fn controller_output(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
     let input = |input: &Input| {
         let sum = input.of.iter().zip(seen).map(|(factor, number)| factor * number).sum::<f64>() + input.constant;
         let value = input.absent.filter(|_| !is_followed).unwrap_or(sum);
@@ -17,7 +17,7 @@ pub fn act(actor: &Actor, seen: [f64; 8], is_followed: bool) -> f64 {
     if actor.is_cut { wanted.clamp(actor.action_mps2[0], actor.action_mps2[1]) } else { wanted }
 }
 
-fn done(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
+fn apply_layer(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
     let each = match step {
         Step::Linear(Layer { outputs, weights, biases, .. }) => {
             let mut sums: Vec<f32> = biases.iter().map(|&bias| bias as f32).collect();
@@ -47,13 +47,13 @@ fn done(mut h: Vec<f32>, step: &Step) -> Vec<f32> {
     h
 }
 
-fn step(v: f64, a: f64, h: f64) -> (f64, f64) {
+fn advance(v: f64, a: f64, h: f64) -> (f64, f64) {
     let end = v + a * h;
     if end < 0.0 { (v * v / (-2.0 * a), 0.0) } else { (v * h + 0.5 * a * h * h, end) }
 }
 
 /// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
-fn idm(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn idm_acceleration(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
     let mean = (idm.accel_mps2 * idm.comfortable_brake_mps2).sqrt();
     let dynamic = v * idm.time_headway_s + v * (v - ahead) / (2.0 * mean);
     let share = (idm.standstill_gap_m + dynamic.max(0.0)) / gap.max(0.01);
@@ -62,7 +62,7 @@ fn idm(idm: &Idm, [gap, v, ahead]: [f64; 3]) -> f64 {
 }
 
 /// What somebody asks for who departs from a law, and how far he has departed: an action moves that by so much a step at most.
-fn departed(
+fn residual_acceleration(
     departure: &Departure,
     so_far: &mut f64,
     action: f64,
@@ -80,7 +80,7 @@ fn departed(
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
-fn followed(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn law_acceleration(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
         Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
         Law::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
@@ -96,24 +96,24 @@ fn followed(law: &Law, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]:
 }
 
 /// Everything observed at each decision, the last instant included, and the smallest gaps at any step. Nobody minds contact.
-pub fn simulate(scene: &Scene<'_>, start: Start) -> (Vec<[f64; 8]>, [f64; 2]) {
+pub fn simulate(scene: &Scene<'_>, start: InitialState) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_led(scene, start, scripted(&start))
 }
 
 /// How hard the leader of a start brakes over each step: over the one that its onset falls into, with the mean.
-pub fn scripted(&[.., brake, _, onset]: &Start) -> impl Fn(u32) -> f64 {
+pub fn scripted_braking(&[.., brake, _, onset]: &InitialState) -> impl Fn(u32) -> f64 {
     move |k| brake * (f64::from(k) + 1.0 - onset.max(f64::from(k))).max(0.0)
 }
 
 /// The same with a leader that brakes at a rate of its own over each step.
-pub fn simulate_led(scene: &Scene<'_>, start: Start, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
+pub fn simulate_with_leader(scene: &Scene<'_>, start: InitialState, brake_l: impl Fn(u32) -> f64) -> (Vec<[f64; 8]>, [f64; 2]) {
     simulate_told(scene, start, brake_l, |_| [0.0; 8])
 }
 
 /// The same, and what is observed is off by an error of its own at each decision and until the next.
-pub fn simulate_told(
+pub fn simulate_with_errors(
     scene: &Scene<'_>,
-    start: Start,
+    start: InitialState,
     brake_l: impl Fn(u32) -> f64,
     error: impl Fn(u32) -> [f64; 8],
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
@@ -166,7 +166,7 @@ pub fn simulate_told(
 }
 
 /// What steps make of inputs in double precision: what they are without rounding, to a billionth.
-pub fn answers(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
+pub fn network_outputs(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
     steps.iter().fold(inputs, |mut h, step| {
         let each = match step {
             Step::Linear(layer) => {
@@ -197,18 +197,18 @@ pub fn answers(steps: &[Step], inputs: Vec<f64>) -> Vec<f64> {
 }
 
 /// Pseudo-random numbers, the same everywhere.
-pub struct Numbers(pub u64);
+pub struct XorShiftRng(pub u64);
 
-impl Numbers {
+impl XorShiftRng {
     /// Those of a place, of which each has others.
-    pub fn at(seed: u64, place: u32) -> Self {
+    pub fn for_index(seed: u64, place: u32) -> Self {
         let mut numbers = Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
         numbers.unit();
         numbers
     }
 
     /// From 0 to 1.
-    pub fn unit(&mut self) -> f64 {
+    pub fn next_unit(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
@@ -216,7 +216,7 @@ impl Numbers {
     }
 
     /// From -1 to 1.
-    pub fn signed(&mut self) -> f64 {
+    pub fn next_signed(&mut self) -> f64 {
         2.0 * self.unit() - 1.0
     }
 }

@@ -16,7 +16,7 @@ const BITS: usize = 320;
 
 /// The numbers from one multiple of 2⁻³²⁰ to another.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Exact {
+pub struct FixedPointInterval {
     low: BigInt,
     high: BigInt,
 }
@@ -25,7 +25,7 @@ pub struct Exact {
 #[derive(Debug)]
 pub struct TooClose;
 
-impl From<f64> for Exact {
+impl From<f64> for FixedPointInterval {
     fn from(number: f64) -> Self {
         assert!(number.is_finite());
         let bits = number.to_bits();
@@ -38,13 +38,13 @@ impl From<f64> for Exact {
     }
 }
 
-impl Exact {
+impl FixedPointInterval {
     fn point(scaled: BigInt) -> Self {
         Self { low: scaled.clone(), high: scaled }
     }
 
     /// Both ends divided by a power of two, outward.
-    fn shrunk(self, places: usize) -> Self {
+    fn shift_right(self, places: usize) -> Self {
         Self { low: self.low >> places, high: -(-self.high >> places) }
     }
 
@@ -113,7 +113,7 @@ impl Exact {
     }
 
     /// Whether its ends have come apart, by more than 10⁻²⁰: a loop with large gains multiplies at each step what is not known.
-    fn is_vague(&self) -> bool {
+    fn is_too_wide(&self) -> bool {
         (&self.high - &self.low).bits() > BITS as u64 - 66
     }
 
@@ -142,7 +142,7 @@ impl Exact {
     }
 
     /// What lies between the values of a function that grows.
-    fn at_ends(&self, at: impl Fn(&BigInt) -> Self) -> Self {
+    fn map_monotone(&self, at: impl Fn(&BigInt) -> Self) -> Self {
         let low = at(&self.low);
         if self.low == self.high { low } else { low.hull(&at(&self.high)) }
     }
@@ -163,28 +163,28 @@ impl Exact {
     }
 }
 
-impl Add for Exact {
+impl Add for FixedPointInterval {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         Self { low: self.low + other.low, high: self.high + other.high }
     }
 }
 
-impl Neg for Exact {
+impl Neg for FixedPointInterval {
     type Output = Self;
     fn neg(self) -> Self {
         Self { low: -self.high, high: -self.low }
     }
 }
 
-impl Sub for Exact {
+impl Sub for FixedPointInterval {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
         self + -other
     }
 }
 
-impl Mul for Exact {
+impl Mul for FixedPointInterval {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
         let mut products =
@@ -196,7 +196,7 @@ impl Mul for Exact {
 }
 
 /// What the network wants, in m/s², or its action, without any rounding.
-fn wanted(actor: &Actor, seen: &[Exact; 8], is_followed: bool) -> Exact {
+fn controller_output(actor: &Actor, seen: &[FixedPointInterval; 8], is_followed: bool) -> FixedPointInterval {
     let input = |input: &Input| {
         let number = match input.absent.filter(|_| !is_followed) {
             Some(absent) => absent.into(),
@@ -204,7 +204,7 @@ fn wanted(actor: &Actor, seen: &[Exact; 8], is_followed: bool) -> Exact {
                 .of
                 .iter()
                 .zip(seen)
-                .fold(input.constant.into(), |sum: Exact, (&factor, number)| sum + number.clone() * factor.into()),
+                .fold(input.constant.into(), |sum: FixedPointInterval, (&factor, number)| sum + number.clone() * factor.into()),
         };
         (number - input.offset.into()).over(&input.scale.into()).clamp(input.low, input.high)
     };
@@ -214,7 +214,7 @@ fn wanted(actor: &Actor, seen: &[Exact; 8], is_followed: bool) -> Exact {
     if actor.is_cut { wanted.clamp(low, high) } else { wanted }
 }
 
-fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
+fn apply_layer(h: Vec<FixedPointInterval>, step: &Step) -> Vec<FixedPointInterval> {
     let each = match step {
         Step::Linear(Layer { outputs, weights, biases, .. }) => {
             let of = |o: usize| {
@@ -222,16 +222,16 @@ fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
                 h.iter()
                     .zip(column)
                     .filter(|(h, _)| !h.is_zero())
-                    .fold(biases[o].into(), |sum: Exact, (h, &weight)| sum + h.clone() * weight.into())
+                    .fold(biases[o].into(), |sum: FixedPointInterval, (h, &weight)| sum + h.clone() * weight.into())
             };
             return (0..*outputs).map(of).collect();
         }
         Step::Each(each) => each,
     };
-    let one = || Exact::from(1.0);
-    let zero = Exact::zero();
-    let of = |(number, x): (usize, Exact)| {
-        let bent = |below: &dyn Fn(&Exact) -> Exact| {
+    let one = || FixedPointInterval::from(1.0);
+    let zero = FixedPointInterval::zero();
+    let of = |(number, x): (usize, FixedPointInterval)| {
+        let bent = |below: &dyn Fn(&FixedPointInterval) -> FixedPointInterval| {
             let above = x.max(&zero);
             match x.is_below(&zero) {
                 Ok(true) => below(&x),
@@ -256,30 +256,30 @@ fn done(h: Vec<Exact>, step: &Step) -> Vec<Exact> {
 }
 
 /// What `idm` asks for at a gap, its own speed and that of the vehicle ahead.
-fn idm(law: &Idm, [gap, v, ahead]: [&Exact; 3]) -> Exact {
-    let of = |number: f64| Exact::from(number);
+fn idm_acceleration(law: &Idm, [gap, v, ahead]: [&FixedPointInterval; 3]) -> FixedPointInterval {
+    let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let mean = (of(law.accel_mps2) * of(law.comfortable_brake_mps2)).sqrt();
     let dynamic = v.clone() * of(law.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
-    let gap_wanted = of(law.standstill_gap_m) + dynamic.max(&Exact::zero());
+    let gap_wanted = of(law.standstill_gap_m) + dynamic.max(&FixedPointInterval::zero());
     let share = gap_wanted.over(&gap.max(&of(0.01)));
     let part = v.over(&of(law.desired_speed_mps));
-    let squared = |number: Exact| number.clone() * number;
+    let squared = |number: FixedPointInterval| number.clone() * number;
     of(law.accel_mps2) * (of(1.0) - squared(squared(part)) - squared(share))
 }
 
 /// What somebody asks for who departs from a law, and how far he has departed, from -1 to 1: towards what his action says, 0 within the
 /// dead zone, by so much a step at most.
-fn departed(
+fn residual_acceleration(
     departure: &Departure,
-    so_far: &mut Exact,
-    action: &Exact,
+    so_far: &mut FixedPointInterval,
+    action: &FixedPointInterval,
     [low, high]: [f64; 2],
-    step: &Exact,
-    seen: [&Exact; 3],
-) -> Result<Exact, TooClose> {
-    let (zone, one, zero) = (Exact::from(departure.dead_zone), Exact::from(1.0), Exact::zero());
-    let beyond = |size: Exact| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
+    step: &FixedPointInterval,
+    seen: [&FixedPointInterval; 3],
+) -> Result<FixedPointInterval, TooClose> {
+    let (zone, one, zero) = (FixedPointInterval::from(departure.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
+    let beyond = |size: FixedPointInterval| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
     let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
     let most = step.clone() * departure.rate_per_s.into();
     *so_far = aim.max(&(so_far.clone() - most.clone())).min(&(so_far.clone() + most));
@@ -289,13 +289,13 @@ fn departed(
 }
 
 /// What a law asks for at a gap, its own speed and that of the ego, cut to what the vehicle can do.
-fn followed(
+fn law_acceleration(
     law: &Law,
-    set_speed: &mut Option<Exact>,
-    brake: &Exact,
-    [gap, v, ahead]: [&Exact; 3],
-) -> Result<Exact, TooClose> {
-    let of = |number: f64| Exact::from(number);
+    set_speed: &mut Option<FixedPointInterval>,
+    brake: &FixedPointInterval,
+    [gap, v, ahead]: [&FixedPointInterval; 3],
+) -> Result<FixedPointInterval, TooClose> {
+    let of = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
         Law::Idm(law) => (idm(law, [gap, v, ahead]), law.max_accel_mps2),
@@ -313,50 +313,50 @@ fn followed(
 }
 
 /// A vehicle over one step.
-struct Moved {
+struct StepMotion {
     /// Distance within half of the step, and within all of it.
-    covered_m: [Exact; 2],
-    speed_mps: Exact,
-    held_mps2: Exact,
+    covered_m: [FixedPointInterval; 2],
+    speed_mps: FixedPointInterval,
+    held_mps2: FixedPointInterval,
 }
 
-fn moved(speed: &Exact, wanted: &Exact, step: &Exact) -> Result<Moved, TooClose> {
-    let is_idle = speed.is_zero() && !Exact::zero().is_below(wanted)?;
-    let held = if is_idle { Exact::zero() } else { wanted.clone() };
-    let after = |time: Exact| {
+fn advance(speed: &FixedPointInterval, wanted: &FixedPointInterval, step: &FixedPointInterval) -> Result<StepMotion, TooClose> {
+    let is_idle = speed.is_zero() && !FixedPointInterval::zero().is_below(wanted)?;
+    let held = if is_idle { FixedPointInterval::zero() } else { wanted.clone() };
+    let after = |time: FixedPointInterval| {
         let end = speed.clone() + held.clone() * time.clone();
         // Who stops has stopped on v²/(2b), in time.
-        let stops = !held.is_zero() && end.is_below(&Exact::zero())?;
+        let stops = !held.is_zero() && end.is_below(&FixedPointInterval::zero())?;
         let covered = if stops {
             (speed.clone() * speed.clone()).over(&(held.clone() * (-2.0).into()))
         } else {
             (speed.clone() + end.clone()) * time * 0.5.into()
         };
-        Ok((covered, if stops { Exact::zero() } else { end }))
+        Ok((covered, if stops { FixedPointInterval::zero() } else { end }))
     };
     let (half, _) = after(step.clone() * 0.5.into())?;
     let (covered, speed_mps) = after(step.clone())?;
-    Ok(Moved { covered_m: [half, covered], speed_mps, held_mps2: held })
+    Ok(StepMotion { covered_m: [half, covered], speed_mps, held_mps2: held })
 }
 
 /// Everything that is true at each decision, the last instant included, and the smallest gaps at any half step; none where the run goes
 /// through something that is closer than numbers are known, or numbers are no longer known to 10⁻²⁰. What is observed differs by `error(decision)` from that, and the leader
 /// brakes at `brake(k)` of the script that its start says, or of nothing, over each step.
-pub fn drive(
+pub fn simulate_exactly(
     scene: &Scene<'_>,
     start: Start,
     error: impl Fn(usize) -> [f64; 8],
     brake: Option<&dyn Fn(u32) -> f64>,
-) -> Result<(Vec<[Exact; 8]>, [Exact; 2]), TooClose> {
+) -> Result<(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]), TooClose> {
     let Scene { actor, follower, steps, decision_steps: every, .. } = *scene;
-    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(Exact::from);
-    let (step, mut set_speed, mut so_far) = (Exact::from(scene.step_s), None, Exact::zero());
-    let zero = Exact::zero;
+    let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] = start.map(FixedPointInterval::from);
+    let (step, mut set_speed, mut so_far) = (FixedPointInterval::from(scene.step_s), None, FixedPointInterval::zero());
+    let zero = FixedPointInterval::zero;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
     for k in 0..=steps {
         let seen = match follower {
-            Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(Exact::clone),
+            Some(_) => [&ahead, &behind, &v_l, &v_e, &v_r, &a_l, &a_e, &a_r].map(FixedPointInterval::clone),
             None => [
                 ahead.clone(),
                 actor.empty_gap_m.into(),
@@ -368,7 +368,7 @@ pub fn drive(
                 zero(),
             ],
         };
-        if seen.iter().any(Exact::is_vague) {
+        if seen.iter().any(FixedPointInterval::is_too_wide) {
             return Err(TooClose);
         }
         if k % every == 0 {
@@ -397,7 +397,7 @@ pub fn drive(
         let brakes = match brake {
             Some(brake) => brake(k).into(),
             // The mean over the step it falls into.
-            None => brake_l.clone() * (Exact::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero()),
+            None => brake_l.clone() * (FixedPointInterval::from(f64::from(k) + 1.0) - onset.max(&f64::from(k).into())).max(&zero()),
         };
         let leader = moved(&v_l, &-brakes, &step)?;
         let ego = moved(&v_e, &wants, &step)?;

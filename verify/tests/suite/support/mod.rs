@@ -13,7 +13,7 @@ pub const SUBSTEPS: usize = 6;
 
 /// One member of a scene's box.
 #[derive(Debug, Clone)]
-pub struct Member {
+pub struct SceneMember {
     pub leader: [f64; 2],
     pub leader_mps2: Vec<f64>,
     pub egos: Vec<[f64; 2]>,
@@ -22,7 +22,7 @@ pub struct Member {
 }
 
 /// The member that `pick` chooses: 0 for the low end of an interval, 1 for the high one.
-pub fn member(scene: &Scene, mut pick: impl FnMut() -> f64) -> Member {
+pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> Member {
     let mut of = |interval: Interval| {
         let value = interval.low() + pick() * (interval.high() - interval.low());
         value.clamp(interval.low(), interval.high())
@@ -43,7 +43,7 @@ pub fn member(scene: &Scene, mut pick: impl FnMut() -> f64) -> Member {
 
 /// What happened.
 #[derive(Debug, Clone)]
-pub struct Drive {
+pub struct SimulatedRun {
     /// Rear bumper of the leader at the instants.
     pub leader_rear_m: Vec<f64>,
     /// Position and speed of each ego at the instants.
@@ -55,13 +55,13 @@ pub struct Drive {
 }
 
 /// Position and speed after `dt`, stopping on the way where due.
-pub fn moved([x, v]: [f64; 2], a: f64, dt: f64) -> [f64; 2] {
+pub fn advance([x, v]: [f64; 2], a: f64, dt: f64) -> [f64; 2] {
     let end = v + a * dt;
     if end < 0.0 { [x - v * v / (2.0 * a), 0.0] } else { [x + v * dt + 0.5 * a * dt * dt, end] }
 }
 
 /// Drives the member with the egos' accelerations in each substep.
-pub fn drive(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> Drive {
+pub fn simulate_scene(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> SimulatedRun {
     let dt = scene.step_s / SUBSTEPS as f64;
     let mut leader = member.leader;
     let mut egos = member.egos.clone();
@@ -76,7 +76,7 @@ pub fn drive(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> Drive {
         }
         rear.map_or(least, |rear| least.min(bumper - rear[0]))
     };
-    let mut seen = Drive {
+    let mut seen = SimulatedRun {
         leader_rear_m: vec![leader[0] - scene.leader.length_m],
         egos: egos.iter().map(|ego| vec![*ego]).collect(),
         fired: scene.steps,
@@ -111,7 +111,7 @@ pub fn drive(scene: &Scene, member: &Member, profiles: &[Vec<f64>]) -> Drive {
 }
 
 /// Whether some profile of three levels, each held over a block of substeps, escapes in this member.
-pub fn some_escape(scene: &Scene, member: &Member, blocks: usize) -> bool {
+pub fn has_escape(scene: &Scene, member: &Member, blocks: usize) -> bool {
     let substeps = scene.steps as usize * SUBSTEPS;
     let choices = scene.egos.len() * blocks;
     (0..3_usize.pow(choices as u32)).any(|code| {
@@ -131,7 +131,7 @@ pub fn some_escape(scene: &Scene, member: &Member, blocks: usize) -> bool {
 }
 
 /// Rows of a branch as `(multiplier, value)`, spelt out for one drive of one member; contact rows marked.
-pub fn rows(scene: &Scene, member: &Member, drive: &Drive, branch: &Branch) -> Vec<(f64, f64, bool)> {
+pub fn row_values(scene: &Scene, member: &Member, drive: &SimulatedRun, branch: &Branch) -> Vec<(f64, f64, bool)> {
     let h = scene.step_s;
     let (first_ego, last_ego) = (&drive.egos[0], drive.egos.last().unwrap());
     let length_m = scene.egos.last().unwrap().length_m;
@@ -167,7 +167,7 @@ pub fn rows(scene: &Scene, member: &Member, drive: &Drive, branch: &Branch) -> V
 }
 
 /// The whole interval or its middle.
-fn around(value: f64, width: f64) -> Interval {
+fn interval_around(value: f64, width: f64) -> Interval {
     Interval::new(value - width / 2.0, value + width / 2.0).unwrap()
 }
 
@@ -219,7 +219,7 @@ pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
 }
 
 /// Sparse multipliers for the instants below `end`.
-fn lists(end: u32) -> impl Strategy<Value = Vec<(u32, f64)>> {
+fn multiplier_lists(end: u32) -> impl Strategy<Value = Vec<(u32, f64)>> {
     let value = prop_oneof![3 => Just(0.0), 1 => Just(1.0), 1 => 0.0..2.0_f64];
     prop::collection::vec(value, end as usize)
         .prop_map(|values| (0..).zip(values).filter(|row| row.1 > 0.0).collect::<Vec<_>>())

@@ -2,13 +2,13 @@
 
 use serde_json::{Value, json};
 
-type Change<'a> = Box<dyn Fn(&mut Value) + 'a>;
+type Mutation<'a> = Box<dyn Fn(&mut Value) + 'a>;
 
 /// Every change of one number, one entry or one pair of neighbours: a description, and the changed certificate.
 pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
     places(original).into_iter().flat_map(move |place| {
         let value = original.pointer(&place).unwrap_or(&Value::Null);
-        let mut changes: Vec<(String, Change<'_>)> = Vec::new();
+        let mut changes: Vec<(String, Mutation<'_>)> = Vec::new();
         match value {
             Value::Number(number) => {
                 let x = number.as_f64().unwrap_or(0.0);
@@ -70,7 +70,7 @@ pub fn mutants(original: &Value) -> impl Iterator<Item = (String, Value)> + '_ {
 }
 
 /// A pointer to every value.
-pub fn places(value: &Value) -> Vec<String> {
+pub fn json_pointers(value: &Value) -> Vec<String> {
     let mut places = Vec::new();
     collect(value, String::new(), &mut places);
     places
@@ -80,7 +80,7 @@ fn array(value: &mut Value) -> &mut Vec<Value> {
     value.as_array_mut().expect("an array")
 }
 
-fn collect(value: &Value, place: String, places: &mut Vec<String>) {
+fn collect_pointers(value: &Value, place: String, places: &mut Vec<String>) {
     match value {
         Value::Array(list) => {
             list.iter().enumerate().for_each(|(i, entry)| collect(entry, format!("{place}/{i}"), places));

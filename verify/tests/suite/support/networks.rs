@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::closed_loop::Numbers;
 
-fn layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut Numbers) -> Layer {
+fn random_layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut Numbers) -> Layer {
     let mut draw = |count: usize, scale: f64| -> Vec<f64> {
         (0..count).map(|_| f64::from((numbers.signed() * scale) as f32)).collect()
     };
@@ -14,12 +14,12 @@ fn layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut Numbers) -> Lay
 }
 
 /// A network of given widths, as crumple's own are; gains of order one.
-pub fn network(widths: &[usize], gain: f64, seed: u64) -> Actor {
+pub fn native_network(widths: &[usize], gain: f64, seed: u64) -> Actor {
     departing(widths, gain, seed, None)
 }
 
 /// The same, of which the action departs from a law.
-pub fn departing(widths: &[usize], gain: f64, seed: u64, departs_from: Option<Departure>) -> Actor {
+pub fn residual_network(widths: &[usize], gain: f64, seed: u64, departs_from: Option<Departure>) -> Actor {
     let mut numbers = Numbers(seed | 1);
     let sizes = [&[8], widths, &[1]].concat();
     Actor::from(Own {
@@ -54,7 +54,7 @@ pub fn any_network(seed: u64) -> Actor {
 }
 
 /// The same, and its file.
-pub fn any_with_file(seed: u64) -> (Actor, Vec<u8>) {
+pub fn any_network_with_file(seed: u64) -> (Actor, Vec<u8>) {
     let mut numbers = Numbers(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
     let numbers = &mut numbers;
     let (inputs, described): (Vec<Input>, Vec<Value>) = (0..2 + below(8, numbers)).map(|_| input(numbers)).unzip();
@@ -84,11 +84,11 @@ pub fn any_with_file(seed: u64) -> (Actor, Vec<u8>) {
 }
 
 /// Any functions between layers, and one answer at least.
-pub fn any_steps(inputs: usize, seed: u64) -> Vec<Step> {
+pub fn any_layers(inputs: usize, seed: u64) -> Vec<Step> {
     steps(inputs, &mut Numbers(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)).0
 }
 
-fn steps(inputs: usize, numbers: &mut Numbers) -> (Vec<Step>, usize) {
+fn random_layers(inputs: usize, numbers: &mut Numbers) -> (Vec<Step>, usize) {
     let (mut steps, mut width) = (Vec::new(), inputs);
     for depth in 0..1 + below(3, numbers) {
         if depth > 0 {
@@ -105,11 +105,11 @@ fn steps(inputs: usize, numbers: &mut Numbers) -> (Vec<Step>, usize) {
     (steps, width)
 }
 
-fn below(count: usize, numbers: &mut Numbers) -> usize {
+fn random_below(count: usize, numbers: &mut Numbers) -> usize {
     ((numbers.unit() * count as f64) as usize).min(count - 1)
 }
 
-fn input(numbers: &mut Numbers) -> (Input, Value) {
+fn random_input(numbers: &mut Numbers) -> (Input, Value) {
     let place = below(QUANTITIES.len() + 3, numbers);
     let low = if below(2, numbers) == 0 { -1e6 } else { -1.5 };
     let high = if below(2, numbers) == 0 { 1e6 } else { 1.2 };
@@ -135,7 +135,7 @@ fn input(numbers: &mut Numbers) -> (Input, Value) {
     (Input { of, constant: 0.0, absent, offset, scale, low, high }, described)
 }
 
-fn each(width: usize, numbers: &mut Numbers) -> Each {
+fn random_activation(width: usize, numbers: &mut Numbers) -> Each {
     let kind = below(9, numbers);
     let single = |number: f64| f64::from(number as f32);
     let mut operands = || -> Vec<f64> { (0..width).map(|_| single(numbers.signed())).collect() };
@@ -155,7 +155,7 @@ fn each(width: usize, numbers: &mut Numbers) -> Each {
     }
 }
 
-fn file(actor: &Actor, inputs: Vec<Value>) -> Vec<u8> {
+fn network_file(actor: &Actor, inputs: Vec<Value>) -> Vec<u8> {
     let mut tensors: Vec<(String, Vec<usize>, &[f64])> = Vec::new();
     let mut steps = Vec::new();
     for (index, step) in actor.steps.iter().enumerate() {
@@ -207,7 +207,7 @@ fn file(actor: &Actor, inputs: Vec<Value>) -> Vec<u8> {
 }
 
 /// A file of a text and tensors: name, shape, numbers.
-pub fn file_of(text: &Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Vec<u8> {
+pub fn encode_file(text: &Value, tensors: &[(String, Vec<usize>, &[f64])]) -> Vec<u8> {
     let mut header = json!({ "__metadata__": { "crumple_network": text.to_string() } });
     let mut data = Vec::new();
     for &(ref name, ref shape, numbers) in tensors {

@@ -17,30 +17,30 @@ fn presets() -> impl Iterator<Item = (&'static str, &'static str)> {
 }
 
 /// Every value in a text that is no table and no list: the path of its field, and where it stands.
-fn values(text: &str) -> Vec<(String, Range<usize>)> {
-    fn within<'t>(path: &str, value: &Spanned<DeValue<'t>>, found: &mut Vec<(String, Range<usize>)>) {
+fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
+    fn collect_value<'t>(path: &str, value: &Spanned<DeValue<'t>>, found: &mut Vec<(String, Range<usize>)>) {
         match value.get_ref() {
-            DeValue::Table(table) => of_table(path, table, found),
+            DeValue::Table(table) => collect_table(path, table, found),
             DeValue::Array(list) => {
                 list.iter().enumerate().for_each(|(index, value)| within(&format!("{path}[{index}]"), value, found));
             }
             _ => found.push((path.to_owned(), value.span())),
         }
     }
-    fn of_table<'t>(path: &str, table: &DeTable<'t>, found: &mut Vec<(String, Range<usize>)>) {
+    fn collect_table<'t>(path: &str, table: &DeTable<'t>, found: &mut Vec<(String, Range<usize>)>) {
         let dot = if path.is_empty() { "" } else { "." };
         table.iter().for_each(|(name, value)| within(&format!("{path}{dot}{}", name.get_ref()), value, found));
     }
     let mut found = Vec::new();
-    of_table("", DeTable::parse(text).expect("a preset").get_ref(), &mut found);
+    collect_table("", DeTable::parse(text).expect("a preset").get_ref(), &mut found);
     found
 }
 
-fn line_of(text: &str, offset: usize) -> usize {
+fn line_number(text: &str, offset: usize) -> usize {
     text[..offset].matches('\n').count() + 1
 }
 
-fn error_of(text: &str) -> Option<String> {
+fn parse_error(text: &str) -> Option<String> {
     TrainingConfig::parse(text, Path::new("own.toml")).err().map(|error| error.to_string())
 }
 
@@ -224,7 +224,7 @@ fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
     );
     let path = Path::new("own.toml");
     let config = TrainingConfig::parse(&text, path).unwrap();
-    let said = config.source().unwrap_err().in_text(&text, path).to_string();
+    let said = config.source().unwrap_err().with_location(&text, path).to_string();
     let line = text.lines().count();
     assert!(
         said.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),

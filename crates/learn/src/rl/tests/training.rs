@@ -4,10 +4,10 @@ use std::sync::{Arc, Mutex};
 
 use crate::rl::*;
 use crumple_core::observer::{Listener, Quiet};
-use crumple_store::program::{OTHER_BUILD, identity};
+use crumple_store::program::{OTHER_BUILD_MESSAGE, identity};
 
 /// A small training that takes a second.
-fn small() -> TrainingConfig {
+fn small_config() -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.network.hidden = vec![16, 16];
     config.learning.batch = 16;
@@ -26,8 +26,8 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
     (config.environment.observation.history, config.environment.observation.history_every) = (3, 2);
     config.evaluation.mean_over_updates = 40;
     config.learning.privileged_critic = true;
-    config.learning.rates_fall = Some(RatesFall { until_episode: 10, to_share: 0.2 });
-    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    config.learning.rates_fall = Some(LrDecay { until_episode: 10, to_share: 0.2 });
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let mut through = Trainer::new(&config, 8);
     let diary = Mutex::new(Vec::new());
     train(&mut through, &held_out, &Listener(|event: &Event| diary.lock().unwrap().push(*event))).unwrap();
@@ -43,7 +43,7 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
             }
         }
         let bytes = first.to_checkpoint().unwrap();
-        let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperDraws)).unwrap();
+        let mut second = Trainer::from_checkpoint(&bytes, &config, 8, Arc::new(PaperSource)).unwrap();
         let events = Mutex::new(events);
         train(&mut second, &held_out, &Listener(|event: &Event| events.lock().unwrap().push(*event))).unwrap();
         let events = events.into_inner().unwrap();
@@ -58,18 +58,18 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
 fn checkpoints_of_another_training_are_refused() {
     let config = small();
     let bytes = Trainer::new(&config, 1).to_checkpoint().unwrap();
-    assert!(Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperDraws)).is_ok());
+    assert!(Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperSource)).is_ok());
     let mut other = config.clone();
     other.learning.batch = 17;
     for (config, seed) in [(&config, 2), (&other, 1)] {
         assert!(matches!(
-            Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperDraws)),
+            Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperSource)),
             Err(TrainingError::Checkpoint(_))
         ));
     }
-    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperDraws)).is_err());
+    assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperSource)).is_err());
     let says = |bytes: &[u8], words: &str| {
-        let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperDraws)).err().unwrap().to_string();
+        let error = Trainer::from_checkpoint(bytes, &config, 1, Arc::new(PaperSource)).err().unwrap().to_string();
         assert!(error.contains(words), "{error}");
     };
     // Any byte of the arrays, and numbers of the header that no array depends on.
@@ -83,16 +83,16 @@ fn checkpoints_of_another_training_are_refused() {
         [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
     };
     says(&edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#), "does not match its SHA-256");
-    says(&edited(r#"\"version\":3"#, r#"\"version\":1"#), OTHER_BUILD);
+    says(&edited(r#"\"version\":3"#, r#"\"version\":1"#), OTHER_BUILD_MESSAGE);
     let program = identity().unwrap();
-    says(&edited(program, &program.replace(char::is_alphabetic, "0")), OTHER_BUILD);
+    says(&edited(program, &program.replace(char::is_alphabetic, "0")), OTHER_BUILD_MESSAGE);
 }
 
 #[test]
 fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
     let config = small();
     let source = |name| -> Arc<dyn ScenarioSource> {
-        Arc::new(Mixed::new(vec![crumple_world::scenario::built_in(name).unwrap()], 0.5, Arc::new(PaperDraws)))
+        Arc::new(Mixed::new(vec![crumple_world::scenario::built_in(name).unwrap()], 0.5, Arc::new(PaperSource)))
     };
     let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
     trainer.run_episode().unwrap();
@@ -100,7 +100,7 @@ fn a_training_on_other_scenarios_says_so_and_is_not_mixed_up() {
     let bytes = trainer.to_checkpoint().unwrap();
     assert!(Trainer::from_checkpoint(&bytes, &config, 1, source("paper-1")).is_ok());
     for refused in [
-        Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperDraws)),
+        Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperSource)),
         Trainer::from_checkpoint(&bytes, &config, 1, source("paper-2")),
     ] {
         assert!(refused.err().unwrap().to_string().contains("it is of a training on a share of 0.5"));
@@ -130,7 +130,7 @@ fn without_ranking_draws_nothing_is_mastered() {
     let master_gap_m = config.evaluation.master_gap_m;
     for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
         config.evaluation.ranking_draws = ranking_draws;
-        let held_out = HeldOut::new(&config.evaluation, &config.environment);
+        let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
         let found = held_out.evaluate(&crumple_world::policy::Policy::reference()).unwrap();
         assert_eq!((found.ranking_contacts, found.is_mastered(master_gap_m)), (contacts, contacts.is_some()));
     }
@@ -139,7 +139,7 @@ fn without_ranking_draws_nothing_is_mastered() {
 #[test]
 fn a_seed_gives_the_same_policy_whatever_the_threads() {
     let config = TrainingConfig { episodes: 8, ..small() };
-    let held_out = HeldOut::new(&config.evaluation, &config.environment);
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
     let policies = |threads| {
         side_by_side(&[1, 2, 3], threads, |&seed| {
             let mut trainer = Trainer::new(&config, seed);
@@ -185,10 +185,10 @@ fn divergence_is_judged_by_what_is_trained_on() {
         }
     };
     let spaces = config.source().unwrap();
-    let (of_paper, of_spaces) = (largest(Arc::new(PaperDraws)), largest(Arc::clone(&spaces)));
+    let (of_paper, of_spaces) = (largest(Arc::new(PaperSource)), largest(Arc::clone(&spaces)));
     assert!((of_spaces / of_paper - 500.0).abs() < 1e-6, "{of_paper} {of_spaces}");
     // However they are mixed.
-    let mixed = Mixed::new(Vec::new(), 0.5, Arc::new(Blend::new(Arc::new(PaperDraws), 0.5, spaces)));
+    let mixed = Mixed::new(Vec::new(), 0.5, Arc::new(Blend::new(Arc::new(PaperSource), 0.5, spaces)));
     assert_eq!(largest(Arc::new(mixed)), of_spaces);
 }
 

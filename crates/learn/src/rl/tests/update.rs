@@ -4,11 +4,11 @@ use rand::{RngExt, SeedableRng};
 
 use crate::rl::config::PRIVILEGED;
 use crate::rl::*;
-use crumple_world::policy::STATE;
+use crumple_world::policy::STATE_LEN;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Numbers that the networks see: those of two decisions.
-const SEEN: usize = 2 * STATE;
+const STATE_WIDTH: usize = 2 * STATE_LEN;
 
 fn config(hidden: &[usize]) -> TrainingConfig {
     let mut config = TrainingConfig::preset("fast").unwrap();
@@ -61,7 +61,7 @@ fn forward(sizes: &[usize], parameters: &[f64], input: &[f64]) -> f64 {
     value[0]
 }
 
-fn double(values: &[f32]) -> Vec<f64> {
+fn to_f64(values: &[f32]) -> Vec<f64> {
     values.iter().copied().map(f64::from).collect()
 }
 
@@ -70,7 +70,7 @@ fn rows(values: &[f32]) -> impl Iterator<Item = Vec<f64>> {
 }
 
 /// Central differences of a loss at every parameter.
-fn differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+fn central_differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     (0..parameters.len())
         .map(|index| {
             let at = |shift: f64| {
@@ -83,7 +83,7 @@ fn differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
         .collect()
 }
 
-fn agree(found: &[f32], expected: &[f64], tolerance: f64) {
+fn assert_close(found: &[f32], expected: &[f64], tolerance: f64) {
     let largest = expected.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     assert!(largest > 1e-4, "nothing to compare");
     for (index, (&found, &expected)) in found.iter().zip(expected).enumerate() {
@@ -160,7 +160,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         let mut learner = learner(&config, 4);
         let mut test_cases = Stream::seed_from_u64(5);
         let mut noise = stream(4, Purpose::TargetNoise, 0);
-        let state = |sign: f32| -> [f32; STATE] { std::array::from_fn(|i| if i == 0 { sign } else { 0.0 }) };
+        let state = |sign: f32| -> [f32; STATE_LEN] { std::array::from_fn(|i| if i == 0 { sign } else { 0.0 }) };
         let mut batch = Batch::default();
         for _ in 0..3000 {
             batch = Batch::default();

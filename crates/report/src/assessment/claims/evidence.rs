@@ -14,13 +14,13 @@ pub struct Evidence {
     #[serde(flatten)]
     pub strength: Strength,
     /// What it rests on.
-    pub source: Source,
+    pub source: EvidenceSource,
 }
 
 /// Where evidence stands.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Source {
+pub struct EvidenceSource {
     /// The part of the report, by its anchor in the page.
     pub part: String,
     /// What it is, in a few words.
@@ -31,9 +31,9 @@ pub struct Source {
     pub sha256: Option<String>,
 }
 
-impl Source {
+impl EvidenceSource {
     /// A part of the report.
-    pub fn part(part: &str, what: impl Into<String>) -> Self {
+    pub fn from_part(part: &str, what: impl Into<String>) -> Self {
         Self { part: part.to_owned(), what: what.into(), file: None, sha256: None }
     }
 }

@@ -17,7 +17,7 @@ pub struct Ledger {
 /// How a claim stands.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Standing {
+pub struct ClaimStatus {
     /// The strongest that is known of it.
     #[serde(flatten)]
     pub strength: Strength,
@@ -26,13 +26,14 @@ pub struct Standing {
     /// Which evidence says so, by its place in the ledger.
     pub evidence: Vec<usize>,
     /// What other evidence says of the same claim.
-    pub beside: Vec<Beside>,
+    #[serde(rename = "beside")]
+    pub secondary: Vec<SecondaryEvidence>,
 }
 
 /// What is known of a claim besides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Beside {
+pub struct SecondaryEvidence {
     /// What it says.
     #[serde(flatten)]
     pub strength: Strength,
@@ -42,7 +43,7 @@ pub struct Beside {
     pub evidence: usize,
 }
 
-impl Beside {
+impl SecondaryEvidence {
     /// Whether it is what a count says, so that one of several has to be chosen without regard to what it says.
     fn is_counted(&self) -> bool {
         self.rule == Rule::BoundsDecide
@@ -60,7 +61,7 @@ impl Default for Standing {
 impl Standing {
     /// How the claim stands, and what else is said of it.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         let others = self.beside.iter().map(|beside| beside.strength.words());
         let mut said = vec![self.strength.words()];
         for other in others.filter(|other| self.strength == Strength::Contradicted || !other.starts_with("tested")) {
@@ -92,14 +93,14 @@ impl Ledger {
     /// How a claim stands: the strongest reading of the evidence, the others beside it. Where one reading says that the claim
     /// holds, not only that it was tried, and another that it does not, it is [`Strength::Contradicted`].
     #[must_use]
-    pub fn standing(&self, claim: &Claim) -> Standing {
+    pub fn claim_status(&self, claim: &Claim) -> Standing {
         let read = |(place, evidence)| {
-            Rule::read(evidence, claim).map(|(rule, strength)| Beside { strength, rule, evidence: place })
+            Rule::read(evidence, claim).map(|(rule, strength)| SecondaryEvidence { strength, rule, evidence: place })
         };
-        let mut all: Vec<Beside> = self.evidence.iter().enumerate().filter_map(read).collect();
-        let united = self.proofs_of_parts(claim);
+        let mut all: Vec<SecondaryEvidence> = self.evidence.iter().enumerate().filter_map(read).collect();
+        let united = self.combine_partial_proofs(claim);
         let deciding = self.deciding(&all);
-        let weight = |one: &Beside| {
+        let weight = |one: &SecondaryEvidence| {
             let is_free = !one.is_counted() || one.strength.is_refutation();
             if is_free || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
         };
@@ -107,7 +108,7 @@ impl Ledger {
         all.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         let holds = united.is_some() || all.iter().any(|one| one.strength.is_assurance());
         let refuted: Vec<_> = all.iter().filter(|one| one.strength.is_refutation()).map(|one| one.evidence).collect();
-        if (holds && !refuted.is_empty()) || self.bounds_part(claim) {
+        if (holds && !refuted.is_empty()) || self.has_disjoint_bounds(claim) {
             let evidence = all.iter().map(|one| one.evidence).collect();
             return Standing { strength: Strength::Contradicted, rule: None, evidence, beside: all };
         }
@@ -119,12 +120,12 @@ impl Ledger {
         if all.is_empty() {
             return Standing::default();
         }
-        let Beside { strength, rule, evidence } = all.remove(0);
+        let SecondaryEvidence { strength, rule, evidence } = all.remove(0);
         Standing { strength, rule: Some(rule), evidence: vec![evidence], beside: all }
     }
 
     /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
-    fn bounds_part(&self, claim: &Claim) -> bool {
+    fn has_disjoint_bounds(&self, claim: &Claim) -> bool {
         if !matches!(claim.property, Property::RateAtMost { .. }) {
             return false;
         }
@@ -143,16 +144,16 @@ impl Ledger {
     /// Which count decides a claim, where there are several: not the one that happens to please, for the best of many counts
     /// is right less often than each. What decides was fixed before anything was counted: the highest confidence, as it is
     /// shown, then the most runs; of equals the least favourable.
-    fn deciding(&self, readings: &[Beside]) -> Option<usize> {
+    fn deciding_count(&self, readings: &[SecondaryEvidence]) -> Option<usize> {
         let counts = readings.iter().filter(|one| one.is_counted()).filter_map(|one| {
-            let fixed = Fixed::of(&self.evidence.get(one.evidence)?.strength)?;
+            let fixed = CountPriority::of(&self.evidence.get(one.evidence)?.strength)?;
             Some((one.evidence, fixed))
         });
         counts.max_by(|(_, a), (_, b)| a.compare(b)).map(|(place, _)| place)
     }
 
     /// The proofs that cover all scenarios of a claim together, if no single one does.
-    fn proofs_of_parts(&self, claim: &Claim) -> Option<(Strength, Vec<usize>)> {
+    fn combine_partial_proofs(&self, claim: &Claim) -> Option<(Strength, Vec<usize>)> {
         let Domain::Scenarios { about, all } = &claim.domain else { return None };
         let proof_of = |scenario| {
             let domain = Domain::Scenarios { about: about.clone(), all: vec![scenario] };
@@ -168,14 +169,14 @@ impl Ledger {
 }
 
 /// What was fixed of a count before it began, and how unfavourable it came out.
-struct Fixed {
+struct CountPriority {
     confidence_percent: f64,
     runs: u64,
     against_percent: f64,
 }
 
-impl Fixed {
-    fn of(strength: &Strength) -> Option<Self> {
+impl CountPriority {
+    fn from_strength(strength: &Strength) -> Option<Self> {
         let (confidence_percent, runs, against_percent) = match *strength {
             Strength::Between { upper_percent, confidence_percent, runs, .. } => {
                 (confidence_percent, runs, upper_percent.value())

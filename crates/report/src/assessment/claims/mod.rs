@@ -7,7 +7,7 @@
 
 mod evidence;
 mod ledger;
-mod rule;
+mod inference_rule;
 mod strength;
 
 use crumple_core::digest::sha256;
@@ -18,48 +18,48 @@ use serde::{Deserialize, Serialize};
 use super::Rounded;
 pub use evidence::{Evidence, Source};
 pub use ledger::{Beside, Ledger, Standing};
-pub use rule::Rule;
-pub use strength::{LEAST_CONFIDENCE_PERCENT, Strength};
+pub use inference_rule::Rule;
+pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
 /// Something with a name for readers and a hash to compare by.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Known {
+pub struct ContentId {
     /// What readers call it.
     pub name: String,
     /// SHA-256, in hexadecimal, of everything that it is.
     pub sha256: String,
 }
 
-impl Known {
+impl ContentId {
     /// Something whose content is known.
-    pub fn of(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
+    pub fn new(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
         Self { name: name.into(), sha256: sha256(content) }
     }
 
     /// A scenario with every field that it states, its seed among them; fields that it leaves out do not count, so that it stays
     /// what it is when the format grows.
-    pub fn scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
+    pub fn from_scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
         let spec = scenario.spec();
         Self::of(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
     }
 }
 
 /// By hash alone: a name proves nothing.
-impl PartialEq for Known {
+impl PartialEq for ContentId {
     fn eq(&self, other: &Self) -> bool {
         self.sha256 == other.sha256
     }
 }
 
-impl Eq for Known {}
+impl Eq for ContentId {}
 
 /// Who a claim is about: a controller with its parameters and its shield, and what it looks through.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Subject {
     /// The controller, by the identity of all that decides how it drives.
-    pub controller: Known,
+    pub controller: ContentId,
     /// What it looks through.
     pub estimator: EstimatorKind,
 }
@@ -84,10 +84,11 @@ pub enum Property {
     /// It fails in fewer of the same runs than another.
     FailsLessOften {
         /// The other, through the same estimator.
-        than: Known,
+        than: ContentId,
     },
     /// It never brakes without a cause.
-    NoNeedlessBraking,
+    #[serde(rename = "no_needless_braking")]
+    NoUnnecessaryBraking,
     /// It is never left behind by a vehicle ahead that drives on.
     KeepsUp,
     /// It passes every test of a suite that can be run.
@@ -97,7 +98,8 @@ pub enum Property {
     /// A line of vehicles with it makes a disturbance no larger from one to the next.
     StringStable,
     /// It keeps a rule.
-    Keeps {
+    #[serde(rename = "keeps")]
+    Satisfies {
         /// The rule, as `--spec` takes it.
         rule: String,
     },
@@ -113,14 +115,14 @@ pub enum Domain {
     Scenarios {
         /// What they are, in words.
         #[serde(rename = "are")]
-        about: Words,
+        about: UncomparedText,
         /// Each of them.
-        all: Vec<Known>,
+        all: Vec<ContentId>,
     },
     /// The first draws of a space under a seed.
     Draws {
         /// The space.
-        space: Known,
+        space: ContentId,
         /// The seed.
         seed: u64,
         /// How many.
@@ -129,12 +131,12 @@ pub enum Domain {
     /// All that a space can draw; of a rate, by the law of the space.
     Space {
         /// The space.
-        space: Known,
+        space: ContentId,
     },
     /// The points of a space that a search tried.
     Search {
         /// The space.
-        space: Known,
+        space: ContentId,
         /// The seed.
         seed: u64,
         /// Evaluations of each method.
@@ -143,17 +145,17 @@ pub enum Domain {
     /// Tests after a document, at the points that a suite has and those that were searched within its ranges.
     Suite {
         /// The suite.
-        suite: Known,
+        suite: ContentId,
     },
     /// A box of starts and braking, with a follower and bounds on what is seen.
     Box {
         /// All of it.
-        around: Known,
+        around: ContentId,
     },
     /// A scenario, with any braking of its leader within what that can do.
     AnyLeaderBraking {
         /// The scenario.
-        scenario: Known,
+        scenario: ContentId,
     },
     /// Any start inside the kernels of these brake limits, with what a shield takes for granted.
     Kernels {
@@ -166,9 +168,9 @@ pub enum Domain {
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
-pub struct Words(pub String);
+pub struct UncomparedText(pub String);
 
-impl PartialEq for Words {
+impl PartialEq for UncomparedText {
     fn eq(&self, _: &Self) -> bool {
         true
     }
@@ -177,7 +179,7 @@ impl PartialEq for Words {
 /// What is said of whom, and where.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Claim {
+pub struct AssuranceClaim {
     /// Who.
     pub subject: Subject,
     /// What.
@@ -189,7 +191,7 @@ pub struct Claim {
 impl Property {
     /// What is claimed, without of whom and where.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         match self {
             Self::NoContact => "no contact".to_owned(),
             Self::NoContactAhead => "no contact with the vehicle ahead".to_owned(),
@@ -207,7 +209,7 @@ impl Property {
 
     /// What it means that it does not hold, without of whom and where.
     #[must_use]
-    pub(crate) fn violated_words(&self) -> String {
+    pub(crate) fn describe_violation(&self) -> String {
         match self {
             Self::NoContact => "contact".to_owned(),
             Self::NoContactAhead => "contact with the vehicle ahead".to_owned(),
@@ -231,7 +233,7 @@ impl Property {
 
     /// Whether it is said of every run of a domain, so that one run refutes it.
     #[must_use]
-    pub(crate) fn is_of_every_run(&self) -> bool {
+    pub(crate) fn is_universal(&self) -> bool {
         matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking | Self::Keeps { .. })
     }
 }
@@ -239,7 +241,7 @@ impl Property {
 impl Domain {
     /// Where something is claimed, as it follows the property.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         match self {
             Self::Scenarios { about, .. } => format!("in {}", about.0),
             Self::Draws { space, seed, draws } => {
@@ -276,10 +278,10 @@ impl Domain {
     }
 }
 
-impl Claim {
+impl AssuranceClaim {
     /// Where, as it follows the property.
     #[must_use]
-    pub fn place(&self) -> String {
+    pub fn describe_domain(&self) -> String {
         match (&self.property, &self.domain) {
             // A rate is that of the law, not of single points.
             (Property::RateAtMost { .. } | Property::FailsLessOften { .. }, Domain::Space { space }) => {
@@ -295,7 +297,7 @@ impl Claim {
 
     /// The claim without its subject.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         format!("{} {}", self.property.words(), self.place())
     }
 }

@@ -7,7 +7,7 @@ use crate::assessment::table::Mark;
 use crumple_world::sim::Unanswered;
 
 /// Least confidence, in percent, with which counting decides a claim.
-pub const LEAST_CONFIDENCE_PERCENT: f64 = 95.0;
+pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;
 
 /// How strongly a claim is supported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -67,7 +67,8 @@ pub enum Strength {
         runs: u64,
     },
     /// Runs were counted to show it with that confidence, and did not.
-    CountedInVain {
+    #[serde(rename = "counted_in_vain")]
+    NotShownByCounting {
         /// The confidence, in percent.
         confidence_percent: Rounded<1>,
         /// How many runs.
@@ -113,7 +114,8 @@ pub enum Strength {
         because: String,
     },
     /// A search made it fail.
-    Found {
+    #[serde(rename = "found")]
+    Falsified {
         /// In how many distinct ways.
         failures: usize,
         /// How many of them another driver would have avoided.
@@ -123,12 +125,14 @@ pub enum Strength {
         because: Option<String>,
     },
     /// A braking of the leader makes it fail.
-    Defeated {
+    #[serde(rename = "defeated")]
+    AttackFound {
         /// The hardest deceleration of the mildest one found, in m/s².
         peak_brake_mps2: Rounded<2>,
     },
     /// The checker accepted a certificate about part of a box of starts.
-    ProvedIn {
+    #[serde(rename = "proved_in")]
+    PartlyProved {
         /// The part, in percent, rounded down.
         share_percent: Rounded<2>,
     },
@@ -141,7 +145,7 @@ pub enum Strength {
 impl Strength {
     /// Of the claim that nothing fails, after `failures` in `runs`.
     #[must_use]
-    pub fn of(failures: u64, runs: u64) -> Self {
+    pub fn from_counts(failures: u64, runs: u64) -> Self {
         match (failures, runs) {
             (_, 0) => Self::Untried,
             (0, _) => Self::Tested { runs },
@@ -152,7 +156,7 @@ impl Strength {
     /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
     /// is a failure (`refutes`); of one about how it drives, nothing to go by.
     #[must_use]
-    pub(crate) fn of_answered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
+    pub(crate) fn from_counts_with_unanswered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
         match unanswered {
             None => Self::of(failures, runs),
             Some(Unanswered { runs: unanswered, because }) => {
@@ -164,7 +168,7 @@ impl Strength {
     /// Of the claim that it fails in fewer of the same runs than another: how often each did, and how many of its runs were cut
     /// short, of which it is not known how they would have ended.
     #[must_use]
-    pub(crate) fn compared([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
+    pub(crate) fn from_paired_counts([own, own_cut_short]: [u64; 2], [other, other_cut_short]: [u64; 2], runs: u64) -> Self {
         let (own_most, other_most) = (own + own_cut_short, other + other_cut_short);
         if own_cut_short + other_cut_short == 0 {
             Self::Compared { own, other, runs }
@@ -179,10 +183,10 @@ impl Strength {
 
     /// What bounds on a share say of the claim that it is at most `percent`; nothing if these are no bounds.
     #[must_use]
-    pub(crate) fn of_rate(&self, percent: f64) -> Option<Self> {
+    pub(crate) fn decide_rate_claim(&self, percent: f64) -> Option<Self> {
         let Self::Between { lower_percent, upper_percent, confidence_percent, .. } = *self else { return None };
         // Rounded outwards, so that what is shown decides. A bound of little confidence decides nothing.
-        Some(if confidence_percent.value() < LEAST_CONFIDENCE_PERCENT {
+        Some(if confidence_percent.value() < MIN_CONFIDENCE_PERCENT {
             Self::Undecided { lower_percent, upper_percent, confidence_percent }
         } else if upper_percent.value() <= percent {
             Self::Bounded { upper_percent, confidence_percent }
@@ -247,7 +251,7 @@ impl Strength {
         }
     }
 
-    pub(in crate::assessment) fn words(&self) -> String {
+    pub(in crate::assessment) fn describe(&self) -> String {
         match self {
             Self::Found { failures, avoidable, because } => {
                 let plural = if *failures == 1 { "" } else { "s" };

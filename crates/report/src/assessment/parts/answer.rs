@@ -3,8 +3,8 @@
 use maud::html;
 use serde::Serialize;
 
-use super::certified::seeing;
-use super::{Limits, ScenarioCases, Searches, Summary, Usefulness};
+use super::certificates::seeing;
+use super::{Limits, ScenarioCases, FailureSearches, Summary, Usefulness};
 use crate::assessment::claims::{Claim, Domain, Property, Rule, Standing, Strength};
 use crate::assessment::document::Document;
 use crate::assessment::markdown::Inline;
@@ -19,7 +19,7 @@ use crumple_core::quoted::Terminal;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum Answer {
+pub enum SafetyAnswer {
     /// There are runs in which it fails.
     NotSafe,
     /// No run failed, and how rarely one does is bounded or proved where it was looked.
@@ -35,9 +35,10 @@ pub struct FirstPage {
     /// What was asked.
     pub question: String,
     /// The answer.
-    pub answer: Answer,
+    pub answer: SafetyAnswer,
     /// It in words that may be quoted.
-    pub words: String,
+    #[serde(rename = "words")]
+    pub answer_text: String,
     /// What speaks against the subject, the gravest first.
     pub against: Vec<String>,
     /// What speaks for it, the strongest first.
@@ -48,19 +49,19 @@ pub struct FirstPage {
     #[serde(skip)]
     pub(in crate::assessment) gates: Vec<GateResult>,
     #[serde(skip)]
-    worst: Vec<ScenarioCases>,
+    worst_failures: Vec<ScenarioCases>,
     #[serde(skip)]
-    sides: Option<Svg>,
+    both_sides_figure: Option<Svg>,
 }
 
 /// Failures that are shown.
-const MOST_SHOWN: usize = 3;
+const MAX_FAILURES_SHOWN: usize = 3;
 
 impl FirstPage {
-    pub(in crate::assessment) fn of(
+    pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
         summary: &Summary,
-        searches: &Searches,
+        searches: &FailureSearches,
         usefulness: Option<&Usefulness>,
         limits: &Limits,
     ) -> Self {
@@ -91,7 +92,7 @@ impl FirstPage {
         .into_iter()
         .map(|(words, _, standing)| format!("{words}: {}", standing.strength.words()))
         .collect();
-        let answer = Answer::of(plan, &claims);
+        let answer = SafetyAnswer::of(plan, &claims);
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
@@ -109,14 +110,14 @@ impl FirstPage {
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             // Gates judge all other parts, so that they are known last.
             gates: Vec::new(),
-            worst: searches.worst_of(subject, MOST_SHOWN),
+            worst: searches.worst_failures(subject, MOST_SHOWN),
             sides: usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
     }
 }
 
 /// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
-fn safer(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String {
+fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String {
     let Some(first) = plan.controllers.first().filter(|_| plan.subject != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
     let shown: Vec<_> =
@@ -135,17 +136,17 @@ fn safer(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String 
 }
 
 /// Whether it is an answer to the question, through the estimator that was asked about.
-fn is_asked(plan: &AssessmentPlan, claim: &Claim) -> bool {
+fn is_relevant_claim(plan: &AssessmentPlan, claim: &Claim) -> bool {
     matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
         && claim.subject.estimator == plan.config.estimator
 }
 
 /// What a claim that does not hold comes to, what happens before how often.
-fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
+fn describe_refutation(words: &str, claim: &Claim, standing: &Standing) -> String {
     if let (Domain::AnyLeaderBraking { scenario }, Strength::Defeated { peak_brake_mps2 }) =
         (&claim.domain, &standing.strength)
     {
-        let what = claim.property.violated_words();
+        let what = claim.property.describe_violation();
         return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
     }
     let strength = standing.strength.words();
@@ -160,19 +161,19 @@ fn refuted(words: &str, claim: &Claim, standing: &Standing) -> String {
     match strength.strip_prefix("refuted") {
         Some(how) => {
             let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));
-            format!("{} {}{how}", claim.property.violated_words(), claim.place())
+            format!("{} {}{how}", claim.property.describe_violation(), claim.place())
         }
         None if standing.strength.is_refutation() => {
-            format!("{} {}: {strength}", claim.property.violated_words(), claim.place())
+            format!("{} {}: {strength}", claim.property.describe_violation(), claim.place())
         }
         None => format!("{words}: {strength}"),
     }
 }
 
-impl Answer {
+impl SafetyAnswer {
     /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
     /// ahead alone, answers nothing.
-    fn of(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> Self {
+    fn new(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> Self {
         let about = claims.iter().filter(|(_, claim, _)| is_asked(plan, claim));
         let about: Vec<_> = about.map(|(.., standing)| *standing).collect();
         let refutes = |standing: &&Standing| {
@@ -190,7 +191,7 @@ impl Answer {
     }
 
     /// In words that may be quoted without the rest: with the domain and the strength of what is said.
-    fn words(
+    fn describe(
         self,
         plan: &AssessmentPlan,
         subject: &str,
@@ -229,7 +230,7 @@ impl Answer {
         }
     }
 
-    fn class(self) -> &'static str {
+    fn css_class(self) -> &'static str {
         match self {
             Self::NotSafe => "answer bad",
             Self::SafeInDomain => "answer good",
@@ -241,7 +242,7 @@ impl Answer {
 impl FirstPage {
     /// Question, answer and reasons, for a terminal.
     #[must_use]
-    pub fn plain(&self) -> String {
+    pub fn to_plain_text(&self) -> String {
         let list = |head: &str, lines: &[String]| {
             let lines: String = lines.iter().map(|line| format!("  {}\n", Terminal(line))).collect();
             if lines.is_empty() { String::new() } else { format!("{head}\n{lines}") }
@@ -252,17 +253,17 @@ impl FirstPage {
 
     /// Returns the gates and whether each holds, for the end of a terminal's output; nothing if there are none.
     #[must_use]
-    pub fn gates_plain(&self) -> String {
+    pub fn gates_to_plain_text(&self) -> String {
         let line = |gate: &GateResult| {
             let verdict = if gate.holds { "holds " } else { "FAILED" };
             format!("  {verdict}  {}\n", Terminal(&format!("{} ({})", gate.gate, gate.because)))
         };
         let lines: String = self.gates.iter().map(line).collect();
-        if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.gates_words()) }
+        if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.describe_gates()) }
     }
 
     /// How many gates hold.
-    fn gates_words(&self) -> String {
+    fn describe_gates(&self) -> String {
         let holding = self.gates.iter().filter(|gate| gate.holds).count();
         match (holding, self.gates.len()) {
             (1, 1) => "The gate holds.".to_owned(),
@@ -280,10 +281,10 @@ impl FirstPage {
     }
 }
 
-const GATES: &str =
+const GATES_NOTE: &str =
     "The configuration states them, and they alone decide the exit code. The answer above does not depend on them.";
 
-const FOR_WHOM: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
+const AUDIENCE: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
     is and how strong, where to look first. The parts that follow hold the evidence, the appendix lists and methods.";
 
 impl Part for FirstPage {
@@ -292,13 +293,13 @@ impl Part for FirstPage {
     }
 
     fn write(&self, out: &mut Document) {
-        out.paragraph(FOR_WHOM);
+        out.paragraph(AUDIENCE);
         out.html(html! { p { b { (prose(&self.question)) } } p class=(self.answer.class()) { (prose(&self.words)) } });
         out.markdown().paragraph(Inline::strong(&self.question));
         out.markdown().paragraph(self.words.as_str());
         if !self.gates.is_empty() {
-            out.html(html! { h3 { "Gates" } p { b { (self.gates_words()) } " " (GATES) } });
-            out.markdown().paragraph(format!("{} {GATES}", self.gates_words()));
+            out.html(html! { h3 { "Gates" } p { b { (self.describe_gates()) } " " (GATES_NOTE) } });
+            out.markdown().paragraph(format!("{} {GATES}", self.describe_gates()));
             out.table(&self.gate_table());
         }
         let sides = [
@@ -317,7 +318,7 @@ impl Part for FirstPage {
             @if !self.worst.is_empty() {
                 h3 { "Its severest failures" }
                 div.worst { @for cases in &self.worst { @for case in &cases.cases {
-                    figure { (cases.figure(case)) figcaption { (case.verdict.words()) " · " (cases.replay_words(case)) } }
+                    figure { (cases.figure(case)) figcaption { (case.verdict.words()) " · " (cases.replay_html(case)) } }
                 } } }
             }
             h3 { "Taken for granted" }

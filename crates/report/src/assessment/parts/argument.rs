@@ -8,7 +8,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::certified::seeing;
+use super::certificates::seeing;
 use super::{ClaimRow, Limits, Summary};
 use crate::assessment::claims::{Claim, Property, Standing, Strength};
 use crate::assessment::document::Document;
@@ -23,17 +23,17 @@ use crumple_core::quoted::Terminal;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Argument {
     /// Its elements; the first one is the top goal.
-    pub elements: Vec<Element>,
+    pub elements: Vec<GsnElement>,
 }
 
 /// One element of the notation.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Element {
+pub struct GsnElement {
     /// Identifier, its first letters saying what it is.
     pub id: String,
     /// What it is.
-    pub kind: ElementKind,
+    pub kind: GsnElementKind,
     /// What it says.
     pub text: String,
     /// Identifiers of what supports it.
@@ -55,7 +55,7 @@ pub struct Element {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum ElementKind {
+pub enum GsnElementKind {
     /// A claim.
     Goal,
     /// How a claim follows from others.
@@ -68,7 +68,7 @@ pub enum ElementKind {
     Assumption,
 }
 
-impl ElementKind {
+impl GsnElementKind {
     fn prefix(self) -> &'static str {
         match self {
             Self::Goal => "G",
@@ -82,15 +82,15 @@ impl ElementKind {
 
 /// An argument on its way: elements get their numbers as they come.
 #[derive(Default)]
-struct Building {
-    elements: Vec<Element>,
+struct ArgumentBuilder {
+    elements: Vec<GsnElement>,
 }
 
-impl Building {
-    fn add(&mut self, kind: ElementKind, text: impl Into<String>) -> String {
+impl ArgumentBuilder {
+    fn add(&mut self, kind: GsnElementKind, text: impl Into<String>) -> String {
         let number = 1 + self.elements.iter().filter(|element| element.kind == kind).count();
         let id = format!("{}{number}", kind.prefix());
-        self.elements.push(Element {
+        self.elements.push(GsnElement {
             id: id.clone(),
             kind,
             text: text.into(),
@@ -104,26 +104,26 @@ impl Building {
         id
     }
 
-    fn change(&mut self, id: &str, change: impl FnOnce(&mut Element)) {
+    fn update(&mut self, id: &str, change: impl FnOnce(&mut GsnElement)) {
         if let Some(element) = self.elements.iter_mut().find(|element| element.id == id) {
             change(element);
         }
     }
 
-    fn support(&mut self, id: &str, by: String) {
+    fn add_support(&mut self, id: &str, by: String) {
         self.change(id, |element| element.supported_by.push(by));
     }
 
     /// A goal below a strategy, with what speaks for it or against it.
-    fn claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
-        let goal = self.add(ElementKind::Goal, proposition.text());
+    fn add_claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
+        let goal = self.add(GsnElementKind::Goal, proposition.text());
         self.support(strategy, goal.clone());
         let strength = &proposition.standing.strength;
         match strength.mark() {
             _ if matches!(strength, Strength::ProvedIn { .. }) => self.solution(&goal, proposition),
             Mark::Good => self.solution(&goal, proposition),
             Mark::Bad => {
-                let counter = self.add(ElementKind::Goal, format!("This does not hold: {}", strength.words()));
+                let counter = self.add(GsnElementKind::Goal, format!("This does not hold: {}", strength.words()));
                 self.solution(&counter, proposition);
                 self.change(&counter, |element| element.challenges = Some(goal.clone()));
                 self.change(&goal, |element| element.defeated = true);
@@ -133,8 +133,8 @@ impl Building {
     }
 
     /// Where the evidence stands.
-    fn solution(&mut self, below: &str, proposition: &Proposition<'_>) {
-        let solution = self.add(ElementKind::Solution, proposition.standing.words());
+    fn add_solution(&mut self, below: &str, proposition: &Proposition<'_>) {
+        let solution = self.add(GsnElementKind::Solution, proposition.standing.words());
         self.change(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
         self.support(below, solution);
     }
@@ -144,7 +144,7 @@ impl Building {
 struct Proposition<'a> {
     row: &'a ClaimRow,
     claim: &'a Claim,
-    standing: &'a Standing,
+    status: &'a Standing,
 }
 
 impl Proposition<'_> {
@@ -163,9 +163,9 @@ impl Proposition<'_> {
     }
 }
 
-impl Building {
+impl ArgumentBuilder {
     /// A goal that rests on a defeated one is defeated as well.
-    fn carry_defeat(&mut self) {
+    fn propagate_defeat(&mut self) {
         // Elements come before what supports them.
         for index in (0..self.elements.len()).rev() {
             let Some(element) = self.elements.get(index) else { continue };
@@ -179,8 +179,8 @@ impl Building {
 }
 
 /// The goals below the top one: what is said, over what it is argued, and which properties it is about.
-type Kind = fn(&Property) -> bool;
-const GOALS: [(&str, &str, Kind); 6] = [
+type PropertyFilter = fn(&Property) -> bool;
+const GOALS: [(&str, &str, PropertyFilter); 6] = [
     ("has no contact with others in any run that this report looks at", "over the situations looked at", |property| {
         matches!(property, Property::NoContact | Property::NoContactAhead)
     }),
@@ -207,7 +207,7 @@ const GOALS: [(&str, &str, Kind); 6] = [
 ];
 
 /// Where claims about how often something happens are made: one of them must not be read without that.
-fn rare_where(about: &[&Proposition<'_>]) -> String {
+fn describe_rate_domains(about: &[&Proposition<'_>]) -> String {
     let is_rate = |one: &&&Proposition<'_>| {
         matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
     };
@@ -217,9 +217,9 @@ fn rare_where(about: &[&Proposition<'_>]) -> String {
 }
 
 impl Argument {
-    pub(in crate::assessment) fn of(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
-        let mut building = Building::default();
+        let mut building = ArgumentBuilder::default();
         let all: Vec<_> = summary
             .claims
             .iter()
@@ -229,28 +229,28 @@ impl Argument {
             })
             .collect();
         let top = building.add(
-            ElementKind::Goal,
+            GsnElementKind::Goal,
             format!(
                 "{subject}, {}, keeps off the vehicles around it in the situations of this report",
                 seeing(plan.config.estimator)
             ),
         );
         let over = building
-            .add(ElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
+            .add(GsnElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
         building.support(&top, over.clone());
         let mut around = vec![building.add(
-            ElementKind::Context,
+            GsnElementKind::Context,
             "one lane of vehicles on a straight road, as the simulation has them; situations are named in each goal",
         )];
         let mut domains: Vec<String> = Vec::new();
         for domain in all.iter().map(|one| format!("situations: {}", one.claim.domain.words())) {
             if !domains.contains(&domain) {
-                around.push(building.add(ElementKind::Context, domain.clone()));
+                around.push(building.add(GsnElementKind::Context, domain.clone()));
                 domains.push(domain);
             }
         }
         for limit in &limits.assumptions {
-            let id = building.add(ElementKind::Assumption, limit.assumed);
+            let id = building.add(GsnElementKind::Assumption, limit.assumed);
             building.change(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
             around.push(id);
         }
@@ -260,21 +260,21 @@ impl Argument {
             if about.is_empty() {
                 continue;
             }
-            let goal = building.add(ElementKind::Goal, format!("{subject} {says}{}", rare_where(&about)));
+            let goal = building.add(GsnElementKind::Goal, format!("{subject} {says}{}", describe_rate_domains(&about)));
             building.support(&over, goal.clone());
-            let strategy = building.add(ElementKind::Strategy, by);
+            let strategy = building.add(GsnElementKind::Strategy, by);
             building.support(&goal, strategy.clone());
             for proposition in about {
                 building.claim(&strategy, proposition);
             }
         }
-        building.carry_defeat();
+        building.propagate_defeat();
         Self { elements: building.elements }
     }
 
     /// The argument as YAML, as tools of the notation read it: one entry an element, under its identifier.
     #[must_use]
-    pub fn yaml(&self) -> String {
+    pub fn to_yaml(&self) -> String {
         let mut text = String::from("# Goal Structuring Notation; dialectic extension: challenges, defeated\n");
         for element in &self.elements {
             // Writing to a string cannot fail.
@@ -284,17 +284,17 @@ impl Argument {
     }
 
     /// The element of that identifier.
-    pub(super) fn find(&self, id: &str) -> Option<&Element> {
+    pub(super) fn find(&self, id: &str) -> Option<&GsnElement> {
         self.elements.iter().find(|element| element.id == id)
     }
 
     /// What challenges an element.
-    pub(super) fn challenges_to(&self, id: &str) -> impl Iterator<Item = &Element> {
+    pub(super) fn challenges_to(&self, id: &str) -> impl Iterator<Item = &GsnElement> {
         self.elements.iter().filter(move |element| element.challenges.as_deref() == Some(id))
     }
 }
 
-impl Element {
+impl GsnElement {
     fn write_yaml(&self, out: &mut String) -> std::fmt::Result {
         // A JSON string is a YAML string too, unless it needs two halves for a character.
         let quoted = |text: &str| serde_json::Value::from(Terminal(text).to_string()).to_string();
@@ -339,7 +339,7 @@ impl Part for Argument {
 }
 
 impl Argument {
-    fn outline(&self, element: &Element, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
+    fn push_outline(&self, element: &GsnElement, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
         let sign = match (element.defeated, element.undeveloped) {
             (true, _) => "✗ ",
             (_, true) => "◇ ",

@@ -8,7 +8,7 @@ use crate::assessment::table::{Cell, Table};
 #[derive(Debug, Clone, Copy)]
 pub struct Glossary;
 
-const WORDS: [(&str, &str); 23] = [
+const TERMS: [(&str, &str); 23] = [
     (
         "avoidable",
         "a driver who knows the future has a way to keep everybody apart: it is shown as a profile and replayed",
@@ -53,7 +53,7 @@ impl Part for Glossary {
 
     fn write(&self, out: &mut Document) {
         out.table(&Table::of(
-            WORDS,
+            TERMS,
             &[("word", &|(word, _)| Cell::text(word)), ("meaning", &|(_, meaning)| Cell::text(meaning))],
         ));
     }

@@ -6,31 +6,31 @@ use serde::Serialize;
 
 use crate::assessment::document::Document;
 use crate::assessment::markdown::Inline;
-use crate::assessment::plan::GivenCertificate;
+use crate::assessment::figure_layout::GivenCertificate;
 use crate::assessment::{AssessmentPlan, Part};
 use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Limits {
+pub struct AssessmentLimits {
     /// The assumptions.
-    pub assumptions: Vec<Limit>,
+    pub assumptions: Vec<LimitingAssumption>,
 }
 
 /// Something that is taken for granted.
 #[derive(Debug, Clone, Copy, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Limit {
+pub struct LimitingAssumption {
     /// What, in a few words that are true or false.
     pub assumed: &'static str,
     /// What that means.
     pub meaning: &'static str,
 }
 
-impl Limits {
-    pub(in crate::assessment) fn of(plan: &AssessmentPlan) -> Self {
-        let limit = |assumed, meaning| Limit { assumed, meaning };
+impl AssessmentLimits {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan) -> Self {
+        let limit = |assumed, meaning| LimitingAssumption { assumed, meaning };
         let mut assumptions = vec![
             limit(
                 "Traffic is one lane of point masses",
@@ -95,7 +95,7 @@ impl Limits {
     }
 }
 
-impl Part for Limits {
+impl Part for AssessmentLimits {
     fn heading(&self) -> (&'static str, String) {
         ("limits", "What this does not show".to_owned())
     }
@@ -104,7 +104,7 @@ impl Part for Limits {
         out.html(
             html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },
         );
-        let line = |limit: &Limit| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning));
+        let line = |limit: &LimitingAssumption| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning));
         out.markdown().list(self.assumptions.iter().map(line));
     }
 }

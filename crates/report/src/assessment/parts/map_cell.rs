@@ -33,7 +33,7 @@ impl MapCell {
 
     /// In words.
     #[must_use]
-    pub fn words(self) -> &'static str {
+    pub fn label(self) -> &'static str {
         match self {
             Self::NoContact => "no contact",
             Self::Avoidable => "contact, though avoidable",

@@ -9,7 +9,7 @@ use crumple_world::scenario::space::{Parameter, Space};
 /// A parameter that varies over a map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct MapAxis {
+pub struct FailureMapAxis {
     /// Its name in the space.
     pub parameter: String,
     /// What it is, for readers.
@@ -23,22 +23,23 @@ pub struct MapAxis {
     /// Its value in each column from the left, or in each row from the bottom.
     pub values: Vec<Rounded<2>>,
     /// Whether the values grow by a factor rather than by a step.
-    pub by_factor: bool,
+    #[serde(rename = "by_factor")]
+    pub is_logarithmic: bool,
 }
 
 /// A parameter that does not vary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Held {
+pub struct FixedParameter {
     /// Its name in the space.
     pub parameter: String,
     /// Its value as a reader knows it, with its unit.
     pub value: String,
 }
 
-impl MapAxis {
+impl FailureMapAxis {
     /// The middles of as many cells over the parameter's range, as they are shown.
-    pub(super) fn of(space: &Space, parameter: &Parameter, title: &str, cells: usize) -> Self {
+    pub(super) fn new(space: &Space, parameter: &Parameter, title: &str, cells: usize) -> Self {
         let [low, high] = parameter.range();
         let at = |share: f64| {
             let mut point = space.point(&space.nominal());
@@ -60,24 +61,24 @@ impl MapAxis {
     }
 
     /// Where on the axis a value stands: 0 at its start, 1 at its end.
-    pub(super) fn share(&self, value: f64) -> f64 {
+    pub(super) fn normalize(&self, value: f64) -> f64 {
         let (low, high) = (self.low.value(), self.high.value());
         if self.by_factor { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
     }
 }
 
 /// Sets every coordinate of a parameter.
-fn set(values: &mut [f64], parameter: &Parameter, to: f64) {
+fn set_parameter(values: &mut [f64], parameter: &Parameter, to: f64) {
     for value in values.get_mut(parameter.coordinates()).unwrap_or_default() {
         *value = to;
     }
 }
 
 /// The scenario of every cell, row by row from the top, each row from the left.
-pub(super) fn scenarios(
+pub(super) fn grid_scenarios(
     space: &Space,
     (across, up): (&Parameter, &Parameter),
-    axes: &(MapAxis, MapAxis),
+    axes: &(FailureMapAxis, FailureMapAxis),
 ) -> Result<Vec<Scenario>, AssessError> {
     let at = |x: Rounded<2>, y: Rounded<2>| {
         let mut values = space.nominal();
@@ -90,7 +91,7 @@ pub(super) fn scenarios(
 }
 
 /// What does not vary.
-pub(super) fn held(space: &Space, varied: (&Parameter, &Parameter)) -> Vec<Held> {
+pub(super) fn fixed_parameters(space: &Space, varied: (&Parameter, &Parameter)) -> Vec<Held> {
     let others = space.parameters().iter().filter(|p| p.name() != varied.0.name() && p.name() != varied.1.name());
     let one = |parameter: &Parameter| {
         let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.show(value)).collect();
@@ -112,7 +113,7 @@ mod tests {
         let space = built_in_space("high-risk").unwrap();
         let axis = |name: &str| {
             let parameter = space.parameters().iter().find(|p| p.name() == name).unwrap();
-            MapAxis::of(&space, parameter, "", 8)
+            FailureMapAxis::of(&space, parameter, "", 8)
         };
         for (axis, by_factor) in [(axis("gap_behind_m"), true), (axis("speed_mps"), false)] {
             assert_eq!(axis.by_factor, by_factor);

@@ -5,11 +5,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenarios};
-use crate::assessment::best::{CertifiedBest, WHAT_REGRET_IS};
+use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
 use crate::assessment::case::{Case, Motion, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::document::Document;
-use crate::assessment::work::Work;
+use crate::assessment::gather_context::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
 use crate::draw::Svg;
 use crumple_world::scenario::{Scenario, built_in, built_in_names};
@@ -22,14 +22,14 @@ pub struct PaperScenarios {
     pub scenarios: Vec<ScenarioCases>,
     /// Which cases of each scenario are shown beside each other.
     #[serde(skip)]
-    beside: Vec<usize>,
+    side_by_side: Vec<usize>,
 }
 
 /// The part's anchor in the page.
 pub(super) const ANCHOR: &str = "paper";
 
 /// The scenario in which a collision of the first controller is shown from above.
-const FROM_ABOVE: &str = "paper-2";
+const ANIMATED_SCENARIO: &str = "paper-2";
 
 impl PaperScenarios {
     /// Those of the paper, by the seed of the plan; none if the plan leaves the paper out.
@@ -49,18 +49,18 @@ impl PaperScenarios {
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
         work.did((all.len() * plan.controllers.len()) as u64)?;
         let bests =
-            all.par_iter().map(|scenario| CertifiedBest::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
+            all.par_iter().map(|scenario| CertifiedAvoidance::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
         let scenarios = scenarios
             .iter()
             .zip(cases)
             .zip(bests)
             .map(|((scenario, cases), best)| {
                 let mut replay = Command::new(["simulate", scenario.spec().name.as_str()])
-                    .and(plan.estimator_words().iter().copied());
+                    .and(plan.estimator_args().iter().copied());
                 if plan.config.seed != 0 {
                     replay = replay.and(["--seed".to_owned(), plan.config.seed.to_string()]);
                 }
-                ScenarioCases::new(scenario, replay, cases).with_best(best)
+                ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
             })
             .collect();
         // The first controller, and the first learned one or else the second.
@@ -74,16 +74,16 @@ impl PaperScenarios {
 impl PaperScenarios {
     /// What these runs say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        scenarios::evidence(plan, &self.scenarios, ANCHOR)
+        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
     }
 
     /// The scenarios as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
-        scenarios::domain(&self.scenarios, ANCHOR)
+        scenario_cases::domain(&self.scenarios, ANCHOR)
     }
 
     /// The figures that stand beside each other, as files.
-    pub(in crate::assessment) fn plates(&self) -> impl Iterator<Item = (String, Svg)> {
+    pub(in crate::assessment) fn figure_files(&self) -> impl Iterator<Item = (String, Svg)> {
         self.scenarios.iter().map(|scenario| {
             let (beside, _) = self.split(scenario);
             (format!("figures/{}.svg", scenario.scenario), scenario.plate(&beside))
@@ -91,7 +91,7 @@ impl PaperScenarios {
     }
 
     /// The cases to show beside each other, and the others.
-    fn split<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
+    fn split_cases<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
         let numbered = scenario.cases.iter().enumerate();
         let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.beside.contains(index));
         let cases = |numbered: Vec<(usize, &'a Case)>| numbered.into_iter().map(|(_, case)| case).collect();
@@ -100,7 +100,7 @@ impl PaperScenarios {
 }
 
 /// What the columns are.
-const MEASURES: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
+const MEASURES_NOTE: &str = "TTC is the gap over the closing speed, DRAC the closing speed squared over twice the gap, the required brake \
     what stops short of a vehicle ahead that holds its braking to standstill. TET is how long TTC was below 3 s, TIT by how much, \
     integrated. Headway is measured between front bumpers, the time gap between bumpers. Peak jerk is the largest change of \
     acceleration within 0.1 s, divided by it. Delta-v is the change of speed in an impact in which vehicles stick together, by mass.";
@@ -116,19 +116,19 @@ impl Part for PaperScenarios {
     }
 
     fn write(&self, out: &mut Document) {
-        [INTRODUCTION, WHAT_REGRET_IS, MEASURES].iter().for_each(|words| out.paragraph(words));
+        [INTRODUCTION, REGRET_EXPLANATION, MEASURES].iter().for_each(|words| out.paragraph(words));
         for scenario in &self.scenarios {
             let (beside, others) = self.split(scenario);
             out.heading(&scenario.scenario);
             out.paragraph(&scenario.about);
-            out.figure(scenario.figures_beside(&beside));
-            out.html(html! { p.replay { @for case in &beside { (scenario.replay_words(case)) } } });
-            if let (true, Some(first)) = (scenario.scenario == FROM_ABOVE, scenario.cases.first()) {
+            out.figure(scenario.figures_side_by_side(&beside));
+            out.html(html! { p.replay { @for case in &beside { (scenario.replay_html(case)) } } });
+            if let (true, Some(first)) = (scenario.scenario == ANIMATED_SCENARIO, scenario.cases.first()) {
                 out.figure(scenario.animation(first));
             }
-            out.paragraph(&scenario.best_words());
+            out.paragraph(&scenario.describe_avoidance());
             scenario.write_tables(out);
-            others.iter().for_each(|case| out.html(scenario.folded_figure(case)));
+            others.iter().for_each(|case| out.html(scenario.collapsible_figure(case)));
         }
     }
 }

@@ -5,11 +5,11 @@ use maud::html;
 use serde::Serialize;
 
 use super::ScenarioCases;
-use super::certified::{self, Proof, ProofStatus, SpeaksOf};
+use super::certificates::{self, Proof, CertificateStatus, CertificateSubject};
 use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
 use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
-use crate::assessment::work::Work;
+use crate::assessment::gather_context::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
 use crumple_world::control::Kernel;
 use crumple_world::scenario::VehicleClass;
@@ -61,21 +61,21 @@ impl Proofs {
         let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
-            certificates: certified::gather(plan, work, scenarios.filter_map(ScenarioCases::certified))?,
+            certificates: certificates::gather(plan, work, scenarios.filter_map(ScenarioCases::certified))?,
             conditions: CONDITIONS,
         })
     }
 
     /// What accepted certificates say.
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
-        certified::evidence(plan, &self.certificates)
+        certificates::evidence(plan, &self.certificates)
     }
 
     /// The claims that certificates make about boxes of starts, each domain once.
-    pub(super) fn boxes(&self) -> Vec<&Claim> {
+    pub(super) fn reach_claims(&self) -> Vec<&Claim> {
         let mut boxes: Vec<&Claim> = Vec::new();
         for proof in &self.certificates {
-            if let SpeaksOf::Claim(claim) = &proof.speaks_of
+            if let CertificateSubject::Claim(claim) = &proof.speaks_of
                 && matches!(claim.domain, Domain::Box { .. })
                 && !boxes.iter().any(|known| known.domain == claim.domain)
             {
@@ -85,7 +85,7 @@ impl Proofs {
         boxes
     }
 
-    fn gaps(&self) -> Table {
+    fn gap_table(&self) -> Table {
         let [own, ahead] = EXAMPLE_MPS;
         let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
         Table::of(
@@ -106,7 +106,7 @@ impl Proofs {
                 ("certificate", &|proof| Cell::text(&proof.name)),
                 ("about", &|proof| Cell::text(&proof.about)),
                 ("what is shown", &|proof| match proof.status {
-                    ProofStatus::NothingShown { .. } => Cell::text(proof.status.words()),
+                    CertificateStatus::NothingShown { .. } => Cell::text(proof.status.words()),
                     _ => Cell::judged(proof.status.words(), proof.is_accepted()),
                 }),
                 ("of whom here", &|proof| Cell::text(proof.speaks_of.words())),
@@ -118,7 +118,7 @@ impl Proofs {
     /// How surely all bounds hold at once, if there are several: what each leaves open is added up.
     fn joint_confidence(&self) -> Option<String> {
         let open = |proof: &Proof| match &proof.status {
-            ProofStatus::Accepted {
+            CertificateStatus::Accepted {
                 strength:
                     Some(Strength::Between { confidence_percent, .. } | Strength::Counted { confidence_percent, .. }),
                 ..
@@ -151,7 +151,7 @@ impl Proofs {
 }
 
 impl KernelGap {
-    fn of(own: VehicleClass, ahead: VehicleClass) -> Self {
+    fn new(own: VehicleClass, ahead: VehicleClass) -> Self {
         let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let [own_mps, ahead_mps] = EXAMPLE_MPS;
         Self {

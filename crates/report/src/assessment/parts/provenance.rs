@@ -12,7 +12,7 @@ use crumple_core::digest::sha256;
 /// When, by what and where an assessment was made. No evidence depends on it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Made {
+pub struct BuildInfo {
     /// Date and time, UTC, as RFC 3339 has it.
     pub at: String,
     /// The commit of the repository that holds what is assessed, if there is one.
@@ -28,7 +28,7 @@ pub struct Made {
 /// What it takes to get the same evidence again.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Provenance {
+pub struct AssessmentProvenance {
     /// Version of crumple.
     pub crumple: &'static str,
     /// The configuration, defaults filled in.
@@ -38,11 +38,12 @@ pub struct Provenance {
     /// Every piece of evidence that is kept between runs.
     pub evidence: Vec<EvidenceHash>,
     /// When and where it was made; none if nobody said.
-    pub made: Option<Made>,
+    #[serde(rename = "made")]
+    pub build_info: Option<BuildInfo>,
 }
 
-impl Provenance {
-    pub(in crate::assessment) fn of(plan: &AssessmentPlan, store: &Store) -> Self {
+impl AssessmentProvenance {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &Store) -> Self {
         // `Debug` writes every field of both, and cannot fail as a serializer can.
         let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
         let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
@@ -57,7 +58,7 @@ impl Provenance {
         }
     }
 
-    fn hashes(&self) -> Table {
+    fn hash_table(&self) -> Table {
         Table::of(
             &self.evidence,
             &[
@@ -102,8 +103,8 @@ impl Provenance {
     }
 }
 
-impl Made {
-    fn words(&self) -> String {
+impl BuildInfo {
+    fn describe(&self) -> String {
         let commit = self.commit.as_ref().map_or(String::new(), |commit| format!(", commit {commit}"));
         let program = self.program_sha256.get(..16).unwrap_or_default();
         format!("{}{commit}, program {program}…, on {}, in {} s", self.at, self.machine, self.duration_s)
@@ -111,11 +112,11 @@ impl Made {
 }
 
 /// What may be believed of evidence from an earlier run.
-const KEPT: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
+const CACHE_NOTE: &str = "Evidence may have been kept in the folder `evidence` by an earlier run of this very program on these very \
     inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
     hashes anew. What the checker says of the certificates listed here was said in this run. With `--fresh` everything is gathered again.";
 
-impl Part for Provenance {
+impl Part for AssessmentProvenance {
     fn heading(&self) -> (&'static str, String) {
         ("provenance", "Provenance".to_owned())
     }

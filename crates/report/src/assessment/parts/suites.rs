@@ -6,17 +6,17 @@ use maud::html;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::found::EscapeFile;
+use super::distinct_failure::EscapeFile;
 use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
-use crate::assessment::commands::controller_word;
+use crate::assessment::commands::controller_arg;
 use crate::assessment::document::Document;
 use crate::assessment::planned_suite::PlannedSuite;
 use crate::assessment::table::{Cell, Mark, Table};
-use crate::assessment::work::Work;
+use crate::assessment::gather_context::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
 use crate::suite::{least_margins, preventable, verdict, within_in_words};
 use crumple_core::digest::sha256;
-use crumple_suites::{Failed, STATEMENT, TestVerdict, Tested, run};
+use crumple_suites::{Failed, DISCLAIMER, TestVerdict, Tested, run};
 use crumple_world::scenario::file;
 use crumple_world::sim::{NamedController, Unanswered};
 
@@ -24,11 +24,11 @@ use crumple_world::sim::{NamedController, Unanswered};
 const ANCHOR: &str = "suites";
 
 /// What one suite found, kept in the store.
-pub(in crate::assessment) fn gather_one(
+pub(in crate::assessment) fn gather_suite(
     plan: &AssessmentPlan,
     planned: &PlannedSuite,
     work: &Work<'_>,
-) -> Result<Kept, AssessError> {
+) -> Result<SuiteCacheEntry, AssessError> {
     let tested: Vec<NamedController> =
         planned.tested.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
     let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
@@ -109,11 +109,13 @@ pub struct SuiteOutcome {
     pub failures: u64,
     /// In how many of those that the search ran the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered_within: Option<Unanswered>,
+    #[serde(rename = "unanswered_within")]
+    pub unanswered_in_tolerance: Option<Unanswered>,
     /// How far it can be pushed until it fails, in words.
     pub margins: Vec<String>,
     /// The worst point found within the ranges and tolerances of the clause, in words; none where there are none.
-    pub within: Option<String>,
+    #[serde(rename = "within")]
+    pub worst_in_tolerance: Option<String>,
     /// The failure with the fastest impact.
     pub worst: Option<SuiteFailure>,
 }
@@ -141,8 +143,9 @@ pub struct SuiteFailure {
 
 /// A suite's findings as they are kept, with the scenarios that failed.
 #[derive(Serialize, Deserialize)]
-pub(in crate::assessment) struct Kept {
-    found: SuiteFindings,
+pub(in crate::assessment) struct SuiteCacheEntry {
+    #[serde(rename = "found")]
+    findings: SuiteFindings,
     files: BTreeMap<String, String>,
 }
 
@@ -152,9 +155,9 @@ impl Suites {
         if plan.suites.is_empty() {
             return Ok(None);
         }
-        let mut all = Self { statement: STATEMENT, suites: Vec::new(), files: BTreeMap::new() };
+        let mut all = Self { statement: DISCLAIMER, suites: Vec::new(), files: BTreeMap::new() };
         for planned in &plan.suites {
-            let Kept { found, files } = gather_one(plan, planned, work)?;
+            let SuiteCacheEntry { found, files } = gather_one(plan, planned, work)?;
             all.suites.push(found);
             all.files.extend(files);
         }
@@ -180,7 +183,7 @@ impl Suites {
                 // A point without an answer is a failure of the controller, and none of its driving.
                 let strength = |failed: u64, points: u64, silent: Option<Unanswered>| {
                     let touching = failed.saturating_sub(silent.as_ref().map_or(0, |silent| silent.runs));
-                    Strength::of_answered(touching, points, silent.as_ref(), true)
+                    Strength::from_counts_with_unanswered(touching, points, silent.as_ref(), true)
                 };
                 // A search goes where it fails: how many of its points do says nothing of the tests.
                 let of_tests = strength(failed, points, silent(|one| &one.unanswered));
@@ -205,7 +208,7 @@ impl Suites {
     }
 
     /// How a controller did in every test of the suite at that place of the plan.
-    pub(in crate::assessment) fn of<'s>(
+    pub(in crate::assessment) fn controller_outcomes<'s>(
         &'s self,
         place: usize,
         controller: &'s str,
@@ -238,7 +241,7 @@ fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<Claim>> {
 }
 
 /// Runs a suite.
-fn ran(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[NamedController]) -> Result<Kept, AssessError> {
+fn run_planned_suite(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[NamedController]) -> Result<SuiteCacheEntry, AssessError> {
     let result = run(&planned.suite, tested, plan.config.estimator)?;
     let mut files = BTreeMap::new();
     let mut tests = Vec::new();
@@ -259,11 +262,11 @@ fn ran(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[NamedController]
         controllers: tested.iter().map(|controller| controller.name.clone()).collect(),
         tests,
     };
-    Ok(Kept { found, files })
+    Ok(SuiteCacheEntry { found, files })
 }
 
 impl SuiteOutcome {
-    fn of(
+    fn new(
         tested: &Tested,
         controller: &NamedController,
         plan: &AssessmentPlan,
@@ -290,14 +293,14 @@ impl SuiteOutcome {
     }
 
     /// Runs that its controller gave no answer in, of the grid and of the search, and why in the first of them.
-    pub(in crate::assessment) fn silent(&self) -> Option<Unanswered> {
+    pub(in crate::assessment) fn total_unanswered(&self) -> Option<Unanswered> {
         let mut all = self.unanswered.clone();
         Unanswered::join(&mut all, self.unanswered_within.clone());
         all
     }
 
     /// In a few words, for a matrix.
-    fn cell(&self) -> Cell {
+    fn table_cell(&self) -> Cell {
         // Why it gave none stands below: it may be long.
         let silent = self.silent().map_or(0, |silent| silent.runs);
         let contact = self.worst.as_ref().filter(|_| silent < self.failures);
@@ -315,7 +318,7 @@ impl SuiteOutcome {
 }
 
 impl SuiteFailure {
-    fn of(
+    fn new(
         failed: &Failed,
         controller: &NamedController,
         plan: &AssessmentPlan,
@@ -324,9 +327,9 @@ impl SuiteFailure {
         let text = file::to_toml(&failed.scenario).map_err(StoreError::encoding)?;
         let (file, sha256) = (format!("counterexamples/suites/{}.toml", failed.scenario_name), sha256(&text));
         let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
-        let replay = controller_word(&controller.kind).filter(|_| is_contact).map(|word| {
+        let replay = controller_arg(&controller.kind).filter(|_| is_contact).map(|word| {
             Command::new(["simulate", file.as_str(), "--controller", word.as_str()])
-                .and(plan.estimator_words().iter().copied())
+                .and(plan.estimator_args().iter().copied())
                 .and(["--expect", "collision"])
         });
         let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(StoreError::encoding)?;
@@ -362,7 +365,7 @@ impl SuiteFindings {
         table
     }
 
-    fn details(&self) -> Table {
+    fn details_table(&self) -> Table {
         let each = self.tests.iter().flat_map(|test| {
             self.controllers.iter().zip(&test.outcomes).map(move |(controller, outcome)| (test, controller, outcome))
         });
@@ -388,7 +391,7 @@ impl SuiteFindings {
     }
 
     /// Of each controller that gave no answer in some runs: in how many, and why.
-    fn silent(&self) -> Vec<String> {
+    fn unanswered_notes(&self) -> Vec<String> {
         let of = |(column, controller): (usize, &String)| {
             let (mut all, mut runs) = (None, 0);
             for outcome in self.tests.iter().filter_map(|test| test.outcomes.get(column)) {
@@ -400,15 +403,15 @@ impl SuiteFindings {
         self.controllers.iter().enumerate().filter_map(of).collect()
     }
 
-    fn words(&self) -> String {
+    fn describe(&self) -> String {
         format!("After {}. Figures from: {} {STATEMENT}", self.document, self.figures_from)
     }
 
-    fn outside(&self) -> Vec<String> {
+    fn out_of_scope(&self) -> Vec<String> {
         [&self.outside[..], &self.left_out].concat()
     }
 
-    fn replays(&self) -> impl Iterator<Item = &Command> {
+    fn replay_commands(&self) -> impl Iterator<Item = &Command> {
         let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
         outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
     }

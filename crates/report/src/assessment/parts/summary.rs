@@ -3,8 +3,8 @@
 use maud::html;
 use serde::Serialize;
 
-use super::certified::{kernel_domain, kernels, seeing};
-use super::{Distributions, PaperScenarios, Proofs, Rules, Searches, Suites, Traffic, Usefulness, WorstProfiles};
+use super::certificates::{kernel_domain, kernels, seeing};
+use super::{Distributions, PaperScenarios, Proofs, SpecificationSearches, FailureSearches, Suites, Traffic, Usefulness, WorstProfiles};
 use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
 use crate::assessment::document::Document;
 use crate::assessment::table::{Cell, Table};
@@ -16,26 +16,26 @@ use crumple_world::sim::{ControllerKind, NamedController};
 /// Every claim about every controller.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Summary {
+pub struct ClaimSummary {
     /// The controller that the question is about.
     pub subject: Option<String>,
     /// Names of the controllers, in the order of each claim's standings.
     pub controllers: Vec<String>,
     /// What the names of controllers and spaces stand for, in a few words each.
-    pub named: Vec<NamedThing>,
+    pub named: Vec<NameExplanation>,
     /// The claims.
     pub claims: Vec<ClaimRow>,
     /// What had to hold, and whether it does.
     pub gates: Vec<GateResult>,
     /// The first controller, the subject, and whatever learned.
     #[serde(skip)]
-    asked: Vec<usize>,
+    main_columns: Vec<usize>,
 }
 
 /// A name, and what it stands for.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct NamedThing {
+pub struct NameExplanation {
     /// The name.
     pub name: String,
     /// What it is.
@@ -53,25 +53,26 @@ pub struct ClaimRow {
     /// The claim as it is made of each controller; none where it makes no sense of one.
     pub claims: Vec<Option<Claim>>,
     /// How it stands with each controller.
-    pub standings: Vec<Standing>,
+    #[serde(rename = "standings")]
+    pub statuses: Vec<Standing>,
 }
 
 /// What the claims of a verdict are made about.
-pub(in crate::assessment) struct Findings<'a> {
+pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
     pub(in crate::assessment) distributions: &'a Distributions,
     pub(in crate::assessment) traffic: Option<&'a Traffic>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
-    pub(in crate::assessment) searches: &'a Searches,
-    pub(in crate::assessment) rules: Option<&'a Rules>,
+    pub(in crate::assessment) searches: &'a FailureSearches,
+    pub(in crate::assessment) rules: Option<&'a SpecificationSearches>,
     pub(in crate::assessment) usefulness: Option<&'a Usefulness>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
 
-impl Findings<'_> {
+impl GatheredEvidence<'_> {
     /// All evidence there is.
-    pub(in crate::assessment) fn ledger(&self, plan: &AssessmentPlan) -> Ledger {
+    pub(in crate::assessment) fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
         let mut all = Vec::new();
         all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.distributions.evidence(plan));
@@ -89,8 +90,8 @@ impl Findings<'_> {
 /// The largest share of collisions that still counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
-impl Summary {
-    pub(in crate::assessment) fn of(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Self {
+impl ClaimSummary {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
         let rows = rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
@@ -116,21 +117,21 @@ impl Summary {
         table
     }
 
-    fn names(&self) -> Table {
+    fn name_table(&self) -> Table {
         Table::of(&self.named, &[("name", &|one| Cell::text(&one.name)), ("what it is", &|one| Cell::text(&one.what))])
     }
 
     /// Those the question is about, and the others.
-    fn columns(&self) -> (Vec<usize>, Vec<usize>) {
+    fn split_columns(&self) -> (Vec<usize>, Vec<usize>) {
         (0..self.controllers.len()).partition(|index| self.asked.contains(index))
     }
 }
 
 /// The controllers, and the spaces that claims are about.
-fn named(plan: &AssessmentPlan, found: &Findings<'_>) -> Vec<NamedThing> {
+fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<NameExplanation> {
     let controllers =
-        plan.controllers.iter().map(|one| NamedThing { name: one.name.clone(), what: what_drives(&one.kind) });
-    let mut all: Vec<NamedThing> = controllers.collect();
+        plan.controllers.iter().map(|one| NameExplanation { name: one.name.clone(), what: describe_controller(&one.kind) });
+    let mut all: Vec<NameExplanation> = controllers.collect();
     let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.abouts());
     let own = plan.distributions.iter().chain(&plan.spaces);
     let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
@@ -138,14 +139,14 @@ fn named(plan: &AssessmentPlan, found: &Findings<'_>) -> Vec<NamedThing> {
         let name = format!("space `{name}`");
         if !all.iter().any(|known| known.name == name) {
             let first = about.split_inclusive(['.', ':']).next().unwrap_or_default();
-            all.push(NamedThing { name, what: first.trim_end_matches(['.', ':']).to_owned() });
+            all.push(NameExplanation { name, what: first.trim_end_matches(['.', ':']).to_owned() });
         }
     }
     all
 }
 
 /// What drives, in a few words.
-fn what_drives(kind: &ControllerKind) -> String {
+fn describe_controller(kind: &ControllerKind) -> String {
     match kind {
         ControllerKind::BuiltIn(spec) => spec.summary().to_owned(),
         ControllerKind::Policy(policy) => format!("a learned policy with hidden layers {:?}", policy.header().hidden),
@@ -157,15 +158,15 @@ fn what_drives(kind: &ControllerKind) -> String {
         ControllerKind::Shielded(shielded) => {
             format!(
                 "behind a shield, which brakes fully where no way out would be left: {}",
-                what_drives(&shielded.controller)
+                describe_controller(&shielded.controller)
             )
         }
         ControllerKind::Process(process) => match process.is_deterministic() {
-            true => what_process(process).to_owned(),
+            true => describe_process(process).to_owned(),
             false => {
                 format!(
                     "{} that is not deterministic: made again, this report may say otherwise",
-                    what_process(process)
+                    describe_process(process)
                 )
             }
         },
@@ -174,12 +175,12 @@ fn what_drives(kind: &ControllerKind) -> String {
 }
 
 /// An FMU runs in a process of its own, and is none for its user.
-fn what_process(process: &ProcessController) -> &'static str {
+fn describe_process(process: &ProcessController) -> &'static str {
     if process.setup().program.is_some() { "an FMU" } else { "a process" }
 }
 
 /// Every claim, each of all controllers.
-fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
+fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
     let mut rows = Vec::new();
     let mut add = |part, words: Option<String>, claims: Vec<Option<Claim>>| {
         let Some(first) = claims.iter().flatten().next() else { return };
@@ -214,7 +215,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
         let (space, seed, draws) = (|| drawn.space.clone(), drawn.seed, drawn.draws);
         let in_draws = || Domain::Draws { space: space(), seed, draws };
         add("distribution", None, of_all(Property::NoContact, in_draws(), own));
-        if named.others_may_touch() {
+        if named.can_others_collide() {
             add("distribution", None, of_all(Property::OthersKeepClear, in_draws(), own));
         }
         let rare = Property::RateAtMost { percent: Rounded::new(RARE_PERCENT) };
@@ -239,7 +240,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
         add("usefulness", None, of_all(Property::KeepsUp, traffic.clone(), own));
-        add("usefulness", None, of_all(Property::StringStable, usefulness.line_domain(), own));
+        add("usefulness", None, of_all(Property::StringStable, usefulness.platoon_domain(), own));
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
@@ -273,7 +274,7 @@ fn rows(plan: &AssessmentPlan, found: &Findings<'_>, ledger: &Ledger) -> Vec<Cla
     rows
 }
 
-impl Part for Summary {
+impl Part for ClaimSummary {
     fn heading(&self) -> (&'static str, String) {
         ("verdict", "Claims".to_owned())
     }

@@ -3,17 +3,17 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::distribution::{Draw, run_draws};
-use super::{LineVerdict, Percent};
+use super::sampling::{Draw, run_draws};
+use super::{StringStabilityVerdict, Percent};
 use crate::assessment::case::CaseVerdict;
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Words};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, UncomparedText};
 use crate::assessment::document::Document;
 use crate::assessment::gate::SpaceTally;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{Cell, Column, Table};
-use crate::assessment::work::Work;
+use crate::assessment::gather_context::Work;
 use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
-use crate::draw::{Axis, BELOW, Frame, HEADING, Ink, Marker, Panel, SMALL, Stroke, Svg, text_width};
+use crate::draw::{Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, text_width};
 use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2};
 use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
@@ -39,11 +39,12 @@ const TIME_GAP_S: f64 = 1.5;
 /// Every controller in everyday traffic, in danger, and in a line.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Usefulness {
+pub struct UsefulnessReport {
     /// Where nothing threatens, and where something does.
     pub spaces: [Known; 2],
     /// The line in which a disturbance is followed.
-    pub line: Known,
+    #[serde(rename = "line")]
+    pub platoon: Known,
     /// Draws of each space for each controller.
     pub draws: u64,
     /// Seed of the draws.
@@ -51,13 +52,13 @@ pub struct Usefulness {
     /// Confidence of the bounds.
     pub confidence: f64,
     /// One entry a controller.
-    pub controllers: Vec<Useful>,
+    pub controllers: Vec<ControllerUsefulness>,
 }
 
 /// How one controller gets on. Means are over the drives in which there is such a value.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Useful {
+pub struct ControllerUsefulness {
     /// The controller's name.
     pub controller: String,
     /// Drives in traffic in which it touched, was touched or failed.
@@ -77,13 +78,17 @@ pub struct Useful {
     #[serde(default, skip_serializing_if = "all_answered")]
     pub unanswered: [Option<Unanswered>; 2],
     /// Drives in traffic with braking without cause.
-    pub needless: u64,
+    #[serde(rename = "needless")]
+    pub unnecessary_braking: u64,
     /// Their share, in percent, and its exact bounds.
-    pub needless_percent: Percent,
+    #[serde(rename = "needless_percent")]
+    pub unnecessary_braking_percent: Percent,
     /// Mean time of braking without cause in a drive, in seconds.
-    pub needless_s: Option<Rounded<2>>,
+    #[serde(rename = "needless_s")]
+    pub unnecessary_braking_s: Option<Rounded<2>>,
     /// Drives in traffic with hard braking where little had a cause.
-    pub hard: u64,
+    #[serde(rename = "hard")]
+    pub hard_braking: u64,
     /// Drives in traffic at whose end it was left behind.
     pub left_behind: u64,
     /// Mean distance driven, relative to the vehicle ahead's.
@@ -97,9 +102,11 @@ pub struct Useful {
     /// Mean of a drive's root mean square of jerk, in m/s³.
     pub rms_jerk_mps3: Option<Rounded<2>>,
     /// Mean of the hardest deceleration of the vehicle behind, in m/s².
-    pub imposed_brake_mps2: Option<Rounded<2>>,
+    #[serde(rename = "imposed_brake_mps2")]
+    pub induced_brake_mps2: Option<Rounded<2>>,
     /// What a line of five makes of a disturbance.
-    pub line: LineVerdict,
+    #[serde(rename = "line")]
+    pub string_stability: StringStabilityVerdict,
     /// The share of failures where something threatens, in percent, and its exact bounds.
     pub high_risk_percent: Percent,
 }
@@ -109,12 +116,12 @@ fn all_answered(unanswered: &[Option<Unanswered>; 2]) -> bool {
 }
 
 /// What is kept of one drive in traffic.
-struct Drive {
+struct EverydayDrive {
     verdict: CaseVerdict,
     usefulness: Option<measure::Usefulness>,
 }
 
-impl Usefulness {
+impl UsefulnessReport {
     /// None if the plan makes no such drives. The motion of each is looked at: these are slower than draws whose contacts
     /// alone are counted.
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
@@ -136,13 +143,13 @@ impl Usefulness {
         let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
         let known_line = Known::scenario("a line of five vehicles behind a leader that slows down", &line);
-        let useful = |controller: &NamedController| -> Result<Useful, AssessError> {
+        let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-            let drives = Drive::all(&traffic, &options)?;
+            let drives = EverydayDrive::all(&traffic, &options)?;
             let danger = run_draws(&high_risk, controller, plan)?;
-            let line = LineVerdict::of(&line, &options)?;
+            let line = StringStabilityVerdict::of(&line, &options)?;
             work.did(2 * count + 1)?;
-            Ok(Useful::of(controller, &drives, &danger, line))
+            Ok(ControllerUsefulness::of(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
         Ok(Some(Self { spaces, line: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
@@ -155,18 +162,18 @@ impl Usefulness {
     }
 
     /// The spaces with what they are.
-    pub(super) fn abouts(&self) -> Vec<(String, String)> {
+    pub(super) fn space_summaries(&self) -> Vec<(String, String)> {
         let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
         EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
     }
 
     /// Of one controller.
-    pub(in crate::assessment) fn of(&self, controller: &str) -> Option<&Useful> {
+    pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerUsefulness> {
         self.controllers.iter().find(|useful| useful.controller == controller)
     }
 
     /// Returns how a controller fared in a space, if that is one of the two.
-    pub(in crate::assessment) fn tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
+    pub(in crate::assessment) fn space_tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
         let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.of(controller)?);
         let failures = [useful.failures, useful.high_risk_failures];
         let unanswered = useful.silent()[place];
@@ -179,8 +186,8 @@ impl Usefulness {
     }
 
     /// The line as a domain.
-    pub(in crate::assessment) fn line_domain(&self) -> Domain {
-        Domain::Scenarios { about: Words(self.line.name.clone()), all: vec![self.line.clone()] }
+    pub(in crate::assessment) fn platoon_domain(&self) -> Domain {
+        Domain::Scenarios { about: UncomparedText(self.line.name.clone()), all: vec![self.line.clone()] }
     }
 
     /// What these drives say of contacts on both sides, of braking without cause and of keeping up.
@@ -196,11 +203,11 @@ impl Usefulness {
                 (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
                 (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
             ];
-            let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.line_domain() };
+            let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.platoon_domain() };
             let source = Source::part(ANCHOR, "one run of a line");
             all.push(Evidence { claim: line, strength: useful.line.strength(), source });
             all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
-                strength: Strength::of_answered(
+                strength: Strength::from_counts_with_unanswered(
                     failures,
                     self.draws - cut_short,
                     silent.as_ref(),
@@ -229,7 +236,7 @@ impl Usefulness {
 
     fn table(&self) -> Table {
         let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
-        let columns: [Column<'_, &Useful>; 17] = [
+        let columns: [Column<'_, &ControllerUsefulness>; 17] = [
             ("controller", &|one| Cell::text(&one.controller)),
             ("fails in traffic", &|one| Cell::judged(one.failures, one.failures == 0)),
             ("no answer in traffic, high-risk", &|one| Cell::judged(pair(one.silent()), one.silent() == [0, 0])),
@@ -259,14 +266,14 @@ impl Usefulness {
     }
 
     /// Of each controller that gave no answer somewhere: how often, and why.
-    fn silent(&self) -> Vec<String> {
-        let of = |useful: &Useful| {
+    fn unanswered_notes(&self) -> Vec<String> {
+        let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
             let words = places.filter_map(|(place, silent)| {
                 Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.words(self.draws)))
             });
             let line = match &useful.line {
-                LineVerdict::NoAnswer { because } => {
+                StringStabilityVerdict::NoAnswer { because } => {
                     Some(format!("{} in the line: gave no answer: {because}", useful.controller))
                 }
                 _ => None,
@@ -279,9 +286,9 @@ impl Usefulness {
     /// Both sides: a row a controller, and nothing at the right is better.
     pub(super) fn figure(&self, id: &str) -> Svg {
         let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
-        let left = names.iter().map(|name| text_width(name, SMALL)).fold(0.0, f64::max) + 16.0;
+        let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 36.0 * names.len() as f64);
-        let frame = Frame { left, top: HEADING, width: width - left - 24.0, height };
+        let frame = Frame { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
         let axis = Axis::numbers("Share of draws (%)", (0.0, 100.0), 5);
         let title = "Failures in danger (×), needless brakes (○)";
         let mut panel = Panel::new(frame, title, axis, Axis::names("", &names).reversed());
@@ -296,7 +303,7 @@ impl Usefulness {
                 panel.marks(&[(observed.value(), y)], marker, ink);
             }
         }
-        let of = |useful: &Useful| {
+        let of = |useful: &ControllerUsefulness| {
             let (fails, brakes) = (useful.high_risk_percent.observed, useful.needless_percent.observed);
             format!(
                 "{} fails in {fails} % of high-risk, brakes without cause in {brakes} % of traffic",
@@ -304,13 +311,13 @@ impl Usefulness {
             )
         };
         let description = self.controllers.iter().map(of).collect::<Vec<_>>().join("; ");
-        let size = (width, frame.bottom() + BELOW);
+        let size = (width, frame.bottom() + BOTTOM_MARGIN);
         Svg::new(id, size, "Both sides", &description, panel.draw(&Svg::id(id, "panel")))
     }
 }
 
-impl Drive {
-    fn all(scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Self>, RunError> {
+impl EverydayDrive {
+    fn simulate_all(scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Self>, RunError> {
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         Ok(simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
@@ -318,7 +325,7 @@ impl Drive {
         }))
     }
 
-    fn of(scenario: &Scenario, simulated: &Simulated) -> Self {
+    fn new(scenario: &Scenario, simulated: &Simulated) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego);
         Self {
@@ -328,16 +335,16 @@ impl Drive {
     }
 }
 
-impl Useful {
+impl ControllerUsefulness {
     /// Drives in traffic, and draws where something threatens, in which its controller gave no answer.
     #[must_use]
-    pub fn silent(&self) -> [u64; 2] {
+    pub fn unanswered_runs(&self) -> [u64; 2] {
         self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
     }
 
-    fn of(controller: &NamedController, drives: &[Drive], danger: &[Draw], line: LineVerdict) -> Self {
+    fn new(controller: &NamedController, drives: &[EverydayDrive], danger: &[Draw], line: StringStabilityVerdict) -> Self {
         // A drive that its controller ended by giving no answer shows neither how it drives nor that it is not left behind.
-        let answered = |drive: &&Drive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
+        let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
         let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
         let mut unanswered = [None, None];
         drives.iter().for_each(|drive| Unanswered::join(&mut unanswered[0], drive.verdict.unanswered()));
@@ -353,7 +360,7 @@ impl Useful {
         let silent = unanswered[0].as_ref().map_or(0, |silent: &Unanswered| silent.runs);
         let (drives_end, danger_ends) =
             (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
-        let [in_traffic, in_danger] = [Ends::of(drives_end), Ends::of(danger_ends)];
+        let [in_traffic, in_danger] = [EndCounts::of(drives_end), EndCounts::of(danger_ends)];
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures,
@@ -385,7 +392,7 @@ impl Useful {
 
 /// How runs end, counted.
 #[derive(Default)]
-struct Ends {
+struct EndCounts {
     failures: u64,
     /// By others.
     cut_short: u64,
@@ -393,8 +400,8 @@ struct Ends {
     was_hit: u64,
 }
 
-impl Ends {
-    fn of<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> Self {
+impl EndCounts {
+    fn from_verdicts<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> Self {
         let mut ends = Self::default();
         for verdict in verdicts {
             ends.failures += u64::from(verdict.is_failure());
@@ -406,7 +413,7 @@ impl Ends {
     }
 }
 
-impl Part for Usefulness {
+impl Part for UsefulnessReport {
     fn heading(&self) -> (&'static str, String) {
         (ANCHOR, "Usefulness: everyday traffic".to_owned())
     }
@@ -432,7 +439,7 @@ mod tests {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-        let found = Usefulness::gather(&plan, &Work::new(&Store::none(), Counter::new(&Quiet, None))).unwrap().unwrap();
+        let found = UsefulnessReport::gather(&plan, &Work::new(&Store::none(), Counter::new(&Quiet, None))).unwrap().unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry a controller") };
         assert_eq!((idm.failures, idm.needless, idm.hard, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.needless > found.draws / 2 && retrained.progress < idm.progress);
@@ -441,10 +448,10 @@ mod tests {
             assert_eq!(useful.hit[1] + useful.was_hit[1], useful.high_risk_failures, "whoever fails touches");
         }
         assert!(idm.was_hit[1] > 0 || idm.hit[1] > 0);
-        assert!(matches!(idm.line, LineVerdict::Damps { gain } if gain.value() < 1.0), "{:?}", idm.line);
-        assert_eq!(retrained.line, LineVerdict::DoesNotSettle);
+        assert!(matches!(idm.line, StringStabilityVerdict::Damps { gain } if gain.value() < 1.0), "{:?}", idm.line);
+        assert_eq!(retrained.line, StringStabilityVerdict::DoesNotSettle);
         let json = serde_json::to_string(&found).unwrap();
-        assert_eq!(serde_json::to_string(&serde_json::from_str::<Usefulness>(&json).unwrap()).unwrap(), json);
+        assert_eq!(serde_json::to_string(&serde_json::from_str::<UsefulnessReport>(&json).unwrap()).unwrap(), json);
         assert!(found.markdown().into_string().contains("| idm |") && found.html().into_string().contains("<svg"));
     }
 }

@@ -15,44 +15,44 @@ use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 /// How far a speed profile may be from the simulated speeds, in m/s: a millimetre in a quarter of an hour.
 const PROFILE_TOLERANCE_MPS: f64 = 1e-6;
 /// Where another vehicle stands that has nothing to do with the script: a line has two at least, and this one is never reached.
-const FAR_BEHIND_M: f64 = -1e6;
+const DUMMY_FOLLOWER_POSITION_M: f64 = -1e6;
 
 /// What one scripted vehicle does.
-pub(super) struct Scripted {
+pub(super) struct ScriptedVehicle {
     index: usize,
-    action: Action,
+    action: ScriptedAction,
 }
 
-enum Action {
+enum ScriptedAction {
     /// Brakes from a time on, at a rate, to a speed.
     Brake { onset_s: f64, rate_mps2: f64, final_speed_mps: f64 },
     /// Speeds, each a time after the one before, in seconds.
     Profile(Vec<(f64, f64)>),
     /// Drives on.
-    Nothing,
+    KeepSpeed,
 }
 
 /// One move a scripted vehicle.
-pub(super) fn of(scenario: &Scenario) -> Result<Vec<Scripted>, OpenScenarioError> {
+pub(super) fn scripted_vehicles(scenario: &Scenario) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
     let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
-        Driver::Profile(profile) => Some(action(scenario, index, profile).map(|action| Scripted { index, action })),
+        Driver::Profile(profile) => Some(action(scenario, index, profile).map(|action| ScriptedVehicle { index, action })),
         _ => None,
     };
     scenario.vehicles().iter().enumerate().filter_map(scripted).collect()
 }
 
-fn action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> Result<Action, OpenScenarioError> {
+fn scripted_action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> Result<ScriptedAction, OpenScenarioError> {
     let usable_mps2 = scenario.usable_brake_mps2(index);
     let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
     let brake = |onset_s, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
         // A rate of nothing never ends.
         rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps => {
-            Action::Brake { onset_s, rate_mps2, final_speed_mps }
+            ScriptedAction::Brake { onset_s, rate_mps2, final_speed_mps }
         }
-        _ => Action::Nothing,
+        _ => ScriptedAction::Nothing,
     };
     match profile {
-        LeadProfile::ConstantSpeed => Ok(Action::Nothing),
+        LeadProfile::ConstantSpeed => Ok(ScriptedAction::Nothing),
         LeadProfile::Brake(script) => Ok(brake(script.onset_s, script.rate_mps2, 0.0)),
         LeadProfile::BrakeToSpeed(script) => Ok(brake(script.onset_s, script.rate_mps2, script.final_speed_mps)),
         LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) | LeadProfile::Recorded(_) => {
@@ -72,60 +72,60 @@ fn action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> Result<Ac
                 let (now_s, mps) = (*time_s.get(sample)?, *speed_mps.get(sample)?);
                 Some((now_s - std::mem::replace(&mut before_s, now_s), mps))
             });
-            Ok(Action::Profile(entries.collect()))
+            Ok(ScriptedAction::Profile(entries.collect()))
         }
     }
 }
 
 /// The scripted vehicle on the same road with nobody near, without noise.
-fn alone(scenario: &Scenario, index: usize) -> Result<Scenario, String> {
+fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String> {
     let edited = scenario.edited(|spec| {
         let Some(mut scripted) = spec.vehicles.get(index).cloned() else { return };
         scripted.acceleration_noise_mps2 = 0.0;
         scripted.position_m = 0.0;
         let mut standing =
-            VehicleSpec::new(scripted.class, FAR_BEHIND_M, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
+            VehicleSpec::new(scripted.class, DUMMY_FOLLOWER_POSITION_M, 0.0, Driver::Profile(LeadProfile::ConstantSpeed));
         standing.length_m = scripted.length_m;
         spec.vehicles = vec![scripted, standing];
     });
     edited.map_err(|invalid| invalid.to_string())
 }
 
-impl Scripted {
+impl ScriptedVehicle {
     /// The fastest speed that it states, in m/s.
-    pub(super) fn fastest_mps(&self) -> f64 {
+    pub(super) fn max_speed_mps(&self) -> f64 {
         match &self.action {
-            Action::Profile(entries) => entries.iter().map(|&(_, mps)| mps).fold(0.0, f64::max),
+            ScriptedAction::Profile(entries) => entries.iter().map(|&(_, mps)| mps).fold(0.0, f64::max),
             _ => 0.0,
         }
     }
 
     /// Entries of its speed profile.
-    pub(super) fn entries(&self) -> usize {
-        if let Action::Profile(entries) = &self.action { entries.len() } else { 0 }
+    pub(super) fn profile_entry_count(&self) -> usize {
+        if let ScriptedAction::Profile(entries) = &self.action { entries.len() } else { 0 }
     }
 }
 
-impl Move for Scripted {
+impl Move for ScriptedVehicle {
     fn index(&self) -> usize {
         self.index
     }
 
     fn starts(&self) -> Option<(&'static str, f64)> {
         match self.action {
-            Action::Brake { onset_s, .. } => Some(("brake", onset_s)),
-            Action::Profile(_) => Some(("speeds", 0.0)),
-            Action::Nothing => None,
+            ScriptedAction::Brake { onset_s, .. } => Some(("brake", onset_s)),
+            ScriptedAction::Profile(_) => Some(("speeds", 0.0)),
+            ScriptedAction::Nothing => None,
         }
     }
 
     fn write(&self, xml: &mut Xml) -> io::Result<()> {
         within(xml, "LongitudinalAction", &[], |xml| match &self.action {
-            Action::Nothing => Ok(()),
-            Action::Brake { rate_mps2, final_speed_mps, .. } => {
+            ScriptedAction::Nothing => Ok(()),
+            ScriptedAction::Brake { rate_mps2, final_speed_mps, .. } => {
                 speed(xml, ("linear", "rate", *rate_mps2), *final_speed_mps)
             }
-            Action::Profile(entries) => within(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
+            ScriptedAction::Profile(entries) => within(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
                 entries.iter().try_for_each(|&(after_s, mps)| {
                     leaf(xml, "SpeedProfileEntry", &[("time", &number(after_s)), ("speed", &number(mps))])
                 })

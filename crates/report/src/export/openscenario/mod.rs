@@ -24,7 +24,7 @@ use crumple_world::sim::Trace;
 use crate::draw::printable;
 
 /// Most vertices of one file: 100 MB of them.
-pub(crate) const MOST_VERTICES: usize = 1_000_000;
+pub(crate) const MAX_VERTICES: usize = 1_000_000;
 
 /// A scenario for other simulators.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,7 +66,7 @@ pub enum OpenScenarioError {
 type Xml = Writer<Vec<u8>>;
 
 /// Refuses who drives beside the lane: on a road of one lane it would drive through the others.
-fn in_one_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
+fn check_single_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
     if scenario.keeps_lanes() { Ok(()) } else { Err(OpenScenarioError::LaneChanges) }
 }
 
@@ -78,15 +78,15 @@ fn in_one_lane(scenario: &Scenario) -> Result<(), OpenScenarioError> {
 /// is the name of the OpenDRIVE file as the scenario gives it.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than `MOST_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
 /// lane.
-pub fn trajectories(
+pub fn export_trajectories(
     scenario: &Scenario,
     trace: &Trace,
     controller: Option<&str>,
     road: &str,
 ) -> Result<OpenScenario, OpenScenarioError> {
-    in_one_lane(scenario)?;
+    check_single_lane(scenario)?;
     let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertices(&trace.time_s, track)).collect();
     let vertices = bounded(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
@@ -97,7 +97,7 @@ pub fn trajectories(
     let file = storyboard::File { scenario, road, about, end_s, leaves_drivers: false };
     Ok(OpenScenario {
         scenario: document(|xml| file.write(xml, &moves))?,
-        road: road::of_trace(scenario, trace)?,
+        road: road::road_for_trace(scenario, trace)?,
         vertices,
     })
 }
@@ -108,10 +108,10 @@ pub fn trajectories(
 /// Noise of a scripted vehicle's acceleration is left out.
 ///
 /// # Errors
-/// [`OpenScenarioError::TooLong`] for more than `MOST_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
+/// [`OpenScenarioError::TooLong`] for more than `MAX_VERTICES`, [`OpenScenarioError::LaneChanges`] where vehicles enter or leave the
 /// lane, and [`OpenScenarioError::Script`] for a script that cannot be driven alone, which no valid scenario has.
-pub fn actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
-    in_one_lane(scenario)?;
+pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
+    check_single_lane(scenario)?;
     let moves = actions::of(scenario)?;
     let vertices = bounded(moves.iter().map(actions::Scripted::entries).sum())?;
     let end_s = scenario.spec().duration_s;
@@ -125,11 +125,11 @@ pub fn actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScen
     })
 }
 
-fn bounded(found: usize) -> Result<usize, OpenScenarioError> {
-    if found > MOST_VERTICES { Err(OpenScenarioError::TooLong { found }) } else { Ok(found) }
+fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
+    if found > MAX_VERTICES { Err(OpenScenarioError::TooLong { found }) } else { Ok(found) }
 }
 
-fn document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Result<Vec<u8>> {
+fn write_document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Result<Vec<u8>> {
     let mut xml = Writer::new_with_indent(Vec::new(), b' ', 1);
     xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
     content(&mut xml)?;
@@ -139,7 +139,7 @@ fn document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Result<Vec<
 }
 
 /// An element with others in it.
-fn within(
+fn write_element(
     xml: &mut Xml,
     name: &str,
     attributes: &[(&str, &str)],
@@ -150,36 +150,36 @@ fn within(
 }
 
 /// An element without others in it.
-fn leaf(xml: &mut Xml, name: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
+fn write_empty_element(xml: &mut Xml, name: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
     xml.create_element(name).with_attributes(attributes.iter().copied()).write_empty()?;
     Ok(())
 }
 
 /// A number to a billionth, which no place on a road is known to.
-fn number(value: f64) -> String {
+fn format_number(value: f64) -> String {
     // Adding zero turns -0 into 0.
     ((value * 1e9).round() / 1e9 + 0.0).to_string()
 }
 
 /// What a user wrote, as the value of an attribute: one line of what XML allows. What begins with a dollar sign is a
 /// parameter's name in OpenSCENARIO, so it gets a blank before it.
-fn text(written: &str) -> String {
+fn attribute_text(written: &str) -> String {
     let text = printable(written);
     if text.starts_with('$') { format!(" {text}") } else { text }
 }
 
 /// The name of a vehicle among the entities.
-fn entity(index: usize) -> String {
+fn entity_name(index: usize) -> String {
     format!("vehicle_{index}")
 }
 
 /// Where the reference point is when the front bumper is at `front_m`.
-fn reference_m(front_m: f64, length_m: f64) -> f64 {
-    front_m - length_m * (1.0 - entities::REAR_OVERHANG)
+fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
+    front_m - length_m * (1.0 - entities::REAR_OVERHANG_SHARE)
 }
 
 /// A scenario's name and what it is about, as a description.
-fn described(scenario: &Scenario, about: &str) -> String {
+fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
     let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };
     text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()

@@ -14,19 +14,19 @@ pub(crate) const POSITION_TOLERANCE_M: f64 = 0.002;
 /// it is the mean speed.
 pub(crate) const SPEED_TOLERANCE_MPS: f64 = 0.005;
 /// Least time between two vertices, in seconds: rounding must not decide the speed between them.
-const LEAST_STEP_S: f64 = 1e-6;
+const MIN_STEP_S: f64 = 1e-6;
 /// How long after the end the last vertex holds the place, in seconds.
 const HOLD_S: f64 = 1.0;
 
 /// The samples of a track that are vertices, first and last always among them.
-pub(super) fn vertices(time_s: &[f64], track: &Track) -> Vec<usize> {
+pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
     let spread =
         |index: usize| track.speed_mps.get(index).map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS]);
     let mut kept = needed(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
     // A contact may be a billionth of a second after a step.
     if let [.., before, last] = *kept
         && let (Some(from_s), Some(to_s)) = (time_s.get(before), time_s.get(last))
-        && to_s - from_s < LEAST_STEP_S
+        && to_s - from_s < MIN_STEP_S
         && kept.len() > 2
     {
         kept.remove(kept.len() - 2);
@@ -36,7 +36,7 @@ pub(super) fn vertices(time_s: &[f64], track: &Track) -> Vec<usize> {
 
 /// The fewest samples, greedily, between which a straight line stays within `tolerance` of all that it passes over and has a
 /// slope within what each of them allows, its ends included. One step from sample to sample is always allowed.
-pub(super) fn needed(
+pub(super) fn simplify_polyline(
     time_s: &[f64],
     values: &[f64],
     tolerance: f64,
@@ -73,7 +73,7 @@ pub(super) fn needed(
 pub(super) struct Trajectory<'a> {
     pub(super) index: usize,
     pub(super) trace: &'a Trace,
-    pub(super) kept: &'a [usize],
+    pub(super) vertex_indices: &'a [usize],
     pub(super) end_s: f64,
 }
 

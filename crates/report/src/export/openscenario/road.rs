@@ -12,7 +12,7 @@ const LANE_WIDTH_M: f64 = 3.75;
 const MARGIN_M: f64 = 100.0;
 
 /// A road under all that is driven in a run.
-pub(super) fn of_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u8>, OpenScenarioError> {
+pub(super) fn road_for_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u8>, OpenScenarioError> {
     let tracks = || trace.vehicles.iter();
     let rears_m = tracks().filter_map(|track| Some(track.position_m.first()? - track.length_m));
     let fronts_m = tracks().filter_map(|track| track.position_m.last().copied());
@@ -20,7 +20,7 @@ pub(super) fn of_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u8>, Op
 }
 
 /// A road that is long enough for whoever drives twice as fast all the time as anybody starts or a script says, and as 30 m/s.
-pub(super) fn of_scenario(scenario: &Scenario, scripts_mps: f64) -> Result<Vec<u8>, OpenScenarioError> {
+pub(super) fn road_for_scenario(scenario: &Scenario, scripts_mps: f64) -> Result<Vec<u8>, OpenScenarioError> {
     let duration_s = scenario.spec().duration_s;
     let vehicles = || scenario.vehicles().iter();
     let fastest_mps = vehicles().map(|vehicle| vehicle.speed_mps).fold(scripts_mps.max(30.0), f64::max);
@@ -28,7 +28,7 @@ pub(super) fn of_scenario(scenario: &Scenario, scripts_mps: f64) -> Result<Vec<u
     straight(scenario, vehicles().map(|vehicle| vehicle.position_m - vehicle.length_m()), fronts_m)
 }
 
-fn straight(
+fn straight_road(
     scenario: &Scenario,
     rears_m: impl Iterator<Item = f64>,
     fronts_m: impl Iterator<Item = f64>,
@@ -40,7 +40,7 @@ fn straight(
     Ok(document(|xml| write(xml, &text(&scenario.spec().name), from_m, &length))?)
 }
 
-fn write(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()> {
+fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()> {
     within(xml, "OpenDRIVE", &[], |xml| {
         leaf(xml, "header", &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")])?;
         // An identity that is a number: tools want one.
@@ -61,7 +61,7 @@ fn write(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()>
     })
 }
 
-fn lanes(xml: &mut Xml) -> io::Result<()> {
+fn write_lanes(xml: &mut Xml) -> io::Result<()> {
     let mark = |kind| {
         move |xml: &mut Xml| {
             let solid =

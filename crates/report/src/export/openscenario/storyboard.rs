@@ -6,7 +6,7 @@ use super::{Xml, described, entities, entity, leaf, number, reference_m, within}
 use crumple_world::scenario::Scenario;
 
 /// The file that moves are written into.
-pub(super) struct File<'a> {
+pub(super) struct OpenScenarioFile<'a> {
     pub(super) scenario: &'a Scenario,
     /// Name of the road's file.
     pub(super) road: &'a str,
@@ -15,21 +15,21 @@ pub(super) struct File<'a> {
     /// When it is over, in seconds.
     pub(super) end_s: f64,
     /// Whether who drives by a rule is left to a controller.
-    pub(super) leaves_drivers: bool,
+    pub(super) uses_controllers: bool,
 }
 
 /// What one vehicle does.
-pub(super) trait Move {
+pub(super) trait VehicleManeuver {
     /// The vehicle.
-    fn index(&self) -> usize;
+    fn vehicle_index(&self) -> usize;
     /// The event's name, and when it starts, in seconds; none if the vehicle has nothing to do but to drive on.
-    fn starts(&self) -> Option<(&'static str, f64)>;
+    fn start_event(&self) -> Option<(&'static str, f64)>;
     /// The private action.
-    fn write(&self, xml: &mut Xml) -> io::Result<()>;
+    fn write_action(&self, xml: &mut Xml) -> io::Result<()>;
 }
 
-impl File<'_> {
-    pub(super) fn write(&self, xml: &mut Xml, moves: &[impl Move]) -> io::Result<()> {
+impl OpenScenarioFile<'_> {
+    pub(super) fn write(&self, xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
         within(xml, "OpenSCENARIO", &[], |xml| {
             let description = described(self.scenario, self.about);
             // No clock: the same scenario makes the same file.
@@ -40,14 +40,14 @@ impl File<'_> {
             within(xml, "RoadNetwork", &[], |xml| leaf(xml, "LogicFile", &[("filepath", self.road)]))?;
             entities::write(xml, self.scenario, self.leaves_drivers)?;
             within(xml, "Storyboard", &[], |xml| {
-                within(xml, "Init", &[], |xml| within(xml, "Actions", &[], |xml| self.write_start(xml)))?;
+                within(xml, "Init", &[], |xml| within(xml, "Actions", &[], |xml| self.write_init(xml)))?;
                 write_story(xml, moves)?;
                 within(xml, "StopTrigger", &[], |xml| at(xml, "over", "greaterThan", self.end_s))
             })
         })
     }
 
-    fn write_start(&self, xml: &mut Xml) -> io::Result<()> {
+    fn write_init(&self, xml: &mut Xml) -> io::Result<()> {
         let friction = number(self.scenario.spec().environment.friction);
         within(xml, "GlobalAction", &[], |xml| {
             within(xml, "EnvironmentAction", &[], |xml| {
@@ -80,7 +80,7 @@ impl File<'_> {
     }
 }
 
-fn write_story(xml: &mut Xml, moves: &[impl Move]) -> io::Result<()> {
+fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
     let moving = || moves.iter().filter_map(|one| Some((one, one.starts()?)));
     if moving().next().is_none() {
         return Ok(());
@@ -110,7 +110,7 @@ fn write_story(xml: &mut Xml, moves: &[impl Move]) -> io::Result<()> {
 }
 
 /// A trigger by time.
-fn at(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
+fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
     within(xml, "ConditionGroup", &[], |xml| {
         within(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
             within(xml, "ByValueCondition", &[], |xml| {
@@ -121,12 +121,12 @@ fn at(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
 }
 
 /// A place on the road.
-fn position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
+fn write_position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
     within(xml, "Position", &[], |xml| leaf(xml, "WorldPosition", &[("x", &number(x_m)), ("y", "0")]))
 }
 
 /// A speed to reach: how it changes, what the number says, and the number.
-pub(super) fn speed(xml: &mut Xml, (shape, dimension, value): (&str, &str, f64), target_mps: f64) -> io::Result<()> {
+pub(super) fn write_speed_action(xml: &mut Xml, (shape, dimension, value): (&str, &str, f64), target_mps: f64) -> io::Result<()> {
     within(xml, "SpeedAction", &[], |xml| {
         let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &number(value))];
         leaf(xml, "SpeedActionDynamics", &dynamics)?;

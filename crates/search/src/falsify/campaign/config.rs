@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::run::CONFIGURATION;
 use super::{Aim, CampaignError};
-use crate::falsify::judging::Judging;
-use crate::falsify::{Contrast, ContrastRecord, Method};
+use crate::falsify::evaluator::Judging;
+use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
 use crumple_store::disk;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -44,11 +44,11 @@ pub struct Campaign {
     /// What must hold.
     pub specification: Specification,
     /// What else must be so for a failure to count; none if every one does.
-    pub contrast: Option<Contrast>,
+    pub failure_criterion: Option<FailureCriterion>,
     /// The search method.
     pub method: Method,
     /// What the search is after once it knows failures. The reference searches do not look.
-    pub aim: Aim,
+    pub objective: Aim,
     /// Evaluations of the method, and of each reference search.
     pub budget: u64,
     /// Seed of the search and of all noise.
@@ -59,7 +59,7 @@ pub struct Campaign {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CampaignOptions {
     /// Record of the evaluations.
-    pub log: Log,
+    pub log: EvaluationLog,
     /// Continue the campaign that the folder holds, if there is one. Without it such a folder is refused.
     pub resume: bool,
 }
@@ -68,7 +68,7 @@ pub struct CampaignOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum Log {
+pub enum EvaluationLog {
     /// Every evaluation, as a row of a compressed CSV file.
     #[default]
     Full,
@@ -76,7 +76,7 @@ pub enum Log {
     Summary,
 }
 
-impl Log {
+impl EvaluationLog {
     fn is_full(&self) -> bool {
         *self == Self::Full
     }
@@ -85,7 +85,7 @@ impl Log {
 /// How a campaign was put together of shards, where that makes it another one than that of one machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Divided {
+pub struct Sharding {
     /// Searches by the method, each by a seed of its own; of a reference search 1, for it is the same however divided.
     pub searches: u64,
     /// Of how many shards; none where they are of several numbers.
@@ -99,14 +99,15 @@ pub struct Divided {
     pub missing_evaluations: Vec<[u64; 2]>,
 }
 
-impl Divided {
+impl Sharding {
     /// How the campaign in a folder was put together; none if it was not, or the folder holds none.
     #[must_use]
-    pub fn in_folder(folder: &Path) -> Option<Self> {
+    pub fn load_from_folder(folder: &Path) -> Option<Self> {
         /// The rest is of no interest.
         #[derive(Deserialize)]
         struct Record {
-            divided: Option<Divided>,
+            #[serde(rename = "divided")]
+            sharding: Option<Sharding>,
         }
 
         let bytes = disk::read(&folder.join(CONFIGURATION), MOST_BYTES).ok()??;
@@ -115,14 +116,14 @@ impl Divided {
 
     /// Evaluations of each method that are missing.
     #[must_use]
-    pub fn missing(&self) -> u64 {
+    pub fn missing_evaluation_count(&self) -> u64 {
         let length = |[first, last]: &[u64; 2]| last.saturating_sub(*first).saturating_add(1);
         self.missing_evaluations.iter().map(length).fold(0, u64::saturating_add)
     }
 }
 
 /// The longest `campaign.toml` that is read.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_CONFIGURATION_BYTES: u64 = 64 << 20;
 
 /// The file `campaign.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -138,26 +139,29 @@ pub(in crate::falsify) struct CampaignRecord {
     pub(in crate::falsify) estimator: EstimatorKind,
     pub(in crate::falsify) specification: String,
     pub(in crate::falsify) method: Method,
-    pub(in crate::falsify) aim: Aim,
+    #[serde(rename = "aim")]
+    pub(in crate::falsify) objective: Aim,
     pub(in crate::falsify) budget: u64,
     pub(in crate::falsify) seed: u64,
     #[serde(default, skip_serializing_if = "Log::is_full")]
-    pub(in crate::falsify) log: Log,
+    pub(in crate::falsify) log: EvaluationLog,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(in crate::falsify) divided: Option<Divided>,
+    #[serde(rename = "divided")]
+    pub(in crate::falsify) sharding: Option<Sharding>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(in crate::falsify) contrast: Option<ContrastRecord>,
+    #[serde(rename = "contrast")]
+    pub(in crate::falsify) failure_criterion: Option<FailureCriterionRecord>,
     pub(in crate::falsify) space: SpaceSpec,
 }
 
 impl CampaignRecord {
-    pub(in crate::falsify) fn of(campaign: &Campaign, log: Log) -> Self {
+    pub(in crate::falsify) fn from_campaign(campaign: &Campaign, log: EvaluationLog) -> Self {
         Self {
             version: CAMPAIGN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             controller: campaign.controller.name.clone(),
             policy_sha256: campaign.policy_sha256(),
-            controller_sha256: campaign.controller.identity_beside_name(),
+            controller_sha256: campaign.controller.disambiguating_hash(),
             estimator: campaign.estimator,
             specification: campaign.specification.to_string(),
             method: campaign.method.clone(),
@@ -166,7 +170,7 @@ impl CampaignRecord {
             seed: campaign.seed,
             log,
             divided: None,
-            contrast: campaign.contrast.as_ref().map(Contrast::record),
+            contrast: campaign.contrast.as_ref().map(FailureCriterion::record),
             space: campaign.space.spec().clone(),
         }
     }
@@ -177,7 +181,7 @@ impl CampaignRecord {
 }
 
 /// The methods in the order in which they run: the one asked for, then the reference searches.
-pub(in crate::falsify) fn methods(asked_for: &Method) -> Vec<Method> {
+pub(in crate::falsify) fn with_reference_methods(asked_for: &Method) -> Vec<Method> {
     let mut methods = vec![asked_for.clone()];
     methods.extend([Method::Uniform, Method::Halton].into_iter().filter(|method| method != asked_for));
     methods
@@ -214,7 +218,7 @@ impl Campaign {
     }
 
     /// How scenarios are judged.
-    pub(in crate::falsify) fn judging(&self) -> Judging<'_> {
+    pub(in crate::falsify) fn evaluator(&self) -> Judging<'_> {
         Judging {
             specification: &self.specification,
             controller: &self.controller,
@@ -224,7 +228,7 @@ impl Campaign {
     }
 
     /// Everybody who is put under test: the controller, and the one that it is set against.
-    pub(in crate::falsify) fn drivers(&self) -> impl Iterator<Item = &NamedController> {
+    pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
         let other = self.contrast.as_ref().map(|contrast| contrast.driver(&self.controller));
         std::iter::once(&self.controller).chain(other)
     }
@@ -234,6 +238,6 @@ impl Campaign {
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, CampaignError> {
-        CampaignRecord::of(self, Log::Full).to_toml()
+        CampaignRecord::of(self, EvaluationLog::Full).to_toml()
     }
 }

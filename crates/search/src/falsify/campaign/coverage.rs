@@ -21,7 +21,7 @@ pub(super) struct Coverage {
 
 /// Coverage in percent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Covered {
+pub struct CoveragePercentages {
     /// Share of tenths of a coordinate that were tried, over all coordinates.
     pub tenths_percent: f64,
     /// Share of cells of a tenth by a tenth that were tried, over all pairs of coordinates.
@@ -46,7 +46,7 @@ impl Coverage {
         }
     }
 
-    pub(super) fn covered(&self) -> Covered {
+    pub(super) fn percentages(&self) -> Covered {
         let percent = |cells: &[bool]| {
             let tried = cells.iter().filter(|cell| **cell).count();
             if cells.is_empty() { 100.0 } else { 100.0 * tried as f64 / cells.len() as f64 }
@@ -55,13 +55,13 @@ impl Coverage {
     }
 
     /// Whether it is of a space of so many coordinates.
-    pub(super) fn is_of(&self, dimension: usize) -> bool {
+    pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         let empty = Self::new(dimension);
         (self.dimension, self.single.len(), self.pairs.len()) == (dimension, empty.single.len(), empty.pairs.len())
     }
 
     /// Takes in what another one covers.
-    pub(super) fn join(&mut self, other: &Self) {
+    pub(super) fn merge(&mut self, other: &Self) {
         self.single.iter_mut().zip(&other.single).for_each(|(cell, other)| *cell |= other);
         self.pairs.iter_mut().zip(&other.pairs).for_each(|(cell, other)| *cell |= other);
     }

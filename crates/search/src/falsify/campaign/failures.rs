@@ -32,14 +32,14 @@ pub enum FailureKind {
     /// A formula or a rule is violated. Which vehicles touch makes no further difference: it need not be the cause.
     Violation {
         /// Whether vehicles touched as well.
-        touching: bool,
+        has_contact: bool,
     },
 }
 
 impl FailureKind {
     /// The kind of a verdict by a specification; none if that holds.
     #[must_use]
-    pub fn of(verdict: &RunVerdict, specification: &Specification) -> Option<Self> {
+    pub fn from_verdict(verdict: &RunVerdict, specification: &Specification) -> Option<Self> {
         if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
             return None;
         }
@@ -68,7 +68,7 @@ impl FailureKind {
 
     /// Whether the same two vehicles touch, or both are violations of the formula.
     #[must_use]
-    pub fn same_pair(&self, other: &Self) -> bool {
+    pub fn is_same_pair(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Contact { rear_vehicle: a, .. }, Self::Contact { rear_vehicle: b, .. }) => a == b,
             (Self::ControllerFailed { vehicle: a }, Self::ControllerFailed { vehicle: b }) => a == b,
@@ -124,12 +124,13 @@ pub struct FailureCandidate {
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
-    pub departure: f64,
+    #[serde(rename = "departure")]
+    pub distance_from_nominal: f64,
 }
 
 /// All failures of one kind.
 #[derive(Debug, Clone)]
-pub(super) struct Kind {
+pub(super) struct FailureGroup {
     pub(super) kind: FailureKind,
     /// For each method that found it: how often, and at which of its evaluations first.
     pub(super) by_method: Vec<(Method, u64, u64)>,
@@ -142,7 +143,7 @@ pub(super) struct Kind {
 #[derive(Debug, Clone)]
 pub(super) struct Failures {
     pub(super) specification: Specification,
-    pub(super) kinds: Vec<Kind>,
+    pub(super) groups: Vec<FailureGroup>,
     pub(super) front: Front,
 }
 
@@ -163,7 +164,7 @@ impl Failures {
         };
         self.front.add(&candidate);
         let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind) else {
-            self.kinds.push(Kind {
+            self.kinds.push(FailureGroup {
                 kind,
                 by_method: vec![(method.clone(), 1, evaluated.number)],
                 first: candidate.clone(),
@@ -186,7 +187,7 @@ impl Failures {
 
     /// Takes in those of other evaluations by the same methods, which are named in the order in which they run. Which come first
     /// makes no difference: of equal failures the one that is found earlier stands, as in a search without a break.
-    pub(super) fn join(&mut self, other: Self, methods: &[Method]) {
+    pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
         let order = |method: &Method| methods.iter().position(|known| known == method);
         let position = |found: &FailureCandidate| (order(&found.method), found.number);
         for candidate in other.front.failures() {
@@ -223,12 +224,12 @@ impl Failures {
     }
 
     /// What is looked at closely: of the most frequent kinds, at most so many.
-    pub(super) fn picks(&self, kinds: usize) -> Vec<&FailureCandidate> {
-        self.by_frequency().into_iter().take(kinds).flat_map(Kind::picks).collect()
+    pub(super) fn examination_candidates(&self, kinds: usize) -> Vec<&FailureCandidate> {
+        self.by_frequency().into_iter().take(kinds).flat_map(FailureGroup::picks).collect()
     }
 
     /// The most frequent kinds first, and of equally frequent ones the first to be found.
-    pub(super) fn by_frequency(&self) -> Vec<&Kind> {
+    pub(super) fn by_frequency(&self) -> Vec<&FailureGroup> {
         let mut kinds: Vec<_> = self.kinds.iter().collect();
         kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
         kinds
@@ -243,9 +244,9 @@ impl FailureCandidate {
     }
 }
 
-impl Kind {
+impl FailureGroup {
     /// The failures of this kind to look at: the severest, the likeliest and the first, without repetition.
-    pub(super) fn picks(&self) -> Vec<&FailureCandidate> {
+    pub(super) fn examination_candidates(&self) -> Vec<&FailureCandidate> {
         let mut picks = vec![&self.severest];
         for candidate in [&self.likeliest, &self.first] {
             if !picks.iter().any(|known| known.values == candidate.values) {

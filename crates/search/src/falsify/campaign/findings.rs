@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 use super::coverage::Coverage;
 use super::failures::Failures;
 use super::regions::{MOST_POINTS, Region, Sample};
-use super::terms::Terms;
+use super::resolved_config::Terms;
 use super::{Evaluated, FailureKind};
 use crate::falsify::Method;
 
 /// What one method has reached.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Reached {
+pub(super) struct MethodResults {
     pub(super) method: Method,
     pub(super) evaluations: u64,
     pub(super) first: Option<u64>,
@@ -26,7 +26,7 @@ pub(super) struct Reached {
     pub(super) failing: Vec<u64>,
     /// Evaluations beside which the other controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) other_unanswered: Option<Silent>,
+    pub(super) other_unanswered: Option<UnansweredRuns>,
     /// Evaluations whose robustness has no bound: there is no other scenario to set them against, or nothing to touch.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub(super) unbounded: u64,
@@ -39,7 +39,7 @@ fn is_zero(count: &u64) -> bool {
 /// Evaluations beside which the other controller gave no answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Silent {
+pub(super) struct UnansweredRuns {
     /// How many.
     pub(super) runs: u64,
     /// The first of them, its values, and why.
@@ -50,12 +50,12 @@ pub(super) struct Silent {
 
 /// Everything that is remembered of evaluations.
 #[derive(Debug, Clone)]
-pub(super) struct Findings {
-    pub(super) reached: Vec<Reached>,
+pub(super) struct CampaignFindings {
+    pub(super) method_results: Vec<MethodResults>,
     pub(super) failures: Failures,
 }
 
-impl Reached {
+impl MethodResults {
     pub(super) fn new(method: Method, dimension: usize) -> Self {
         Self {
             method,
@@ -83,7 +83,7 @@ impl Reached {
             u64::from(evaluated.verdict.failed.is_none() && evaluated.verdict.robustness == f64::INFINITY);
         // It is the other's where this one does not fail.
         if evaluated.verdict.failed.is_some() && !evaluated.verdict.is_violation() {
-            let silent = self.other_unanswered.get_or_insert_with(|| Silent {
+            let silent = self.other_unanswered.get_or_insert_with(|| UnansweredRuns {
                 runs: 0,
                 first: evaluated.number,
                 values: evaluated.values.clone(),
@@ -95,7 +95,7 @@ impl Reached {
         self.coverage.add(&evaluated.point);
     }
 
-    fn join(&mut self, other: Self) {
+    fn merge(&mut self, other: Self) {
         self.evaluations = self.evaluations.saturating_add(other.evaluations);
         self.failures = self.failures.saturating_add(other.failures);
         self.first = self.first.into_iter().chain(other.first).min();
@@ -118,7 +118,7 @@ impl Reached {
     }
 
     /// Whether it can be what the evaluations after the first, in a space of so many coordinates, came to.
-    pub(super) fn is_sound(&self, made: &Range<u64>, dimension: usize) -> bool {
+    pub(super) fn is_consistent_with(&self, made: &Range<u64>, dimension: usize) -> bool {
         let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
         let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
@@ -138,14 +138,14 @@ impl Reached {
     }
 }
 
-impl Findings {
+impl CampaignFindings {
     /// Nothing yet.
-    pub(super) fn of(terms: &Terms) -> Self {
+    pub(super) fn new(terms: &Terms) -> Self {
         Self { reached: Vec::new(), failures: Failures::new(terms.specification.clone()) }
     }
 
     /// Takes in what other evaluations by the same methods came to.
-    pub(super) fn join(&mut self, other: Self, methods: &[Method]) {
+    pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
         if self.reached.is_empty() {
             self.reached = other.reached;
         } else {
@@ -154,7 +154,7 @@ impl Findings {
         self.failures.join(other.failures, methods);
     }
 
-    pub(super) fn add(&mut self, reached: &mut Reached, evaluated: &Evaluated) {
+    pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &Evaluated) {
         let fails = FailureKind::of(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
         self.failures.add(&reached.method, evaluated);
@@ -162,7 +162,7 @@ impl Findings {
 
     /// Where failures lie, by the first points of the reference searches: those points again, and what is known of each. Some may be
     /// missing.
-    pub(super) fn regions(&self, terms: &Terms, missing: &[Range<u64>]) -> Vec<Region> {
+    pub(super) fn find_regions(&self, terms: &Terms, missing: &[Range<u64>]) -> Vec<Region> {
         let mut sample = Sample::default();
         let is_missing = |index: u64| {
             let after = missing.partition_point(|range| range.end <= index);

@@ -9,12 +9,12 @@ use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 
 /// Most failures kept: a front of random points has some ten, and memory must not grow with the budget whatever they are.
-const MOST: usize = 1000;
+const MAX_FAILURES: usize = 1000;
 
 /// The Pareto front of all failing evaluations, the severest first: smaller robustness against greater likelihood, equal
 /// likelihoods by nearness to nominal.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Front {
+pub(super) struct ParetoFront {
     failures: Vec<FailureCandidate>,
 }
 
@@ -36,17 +36,18 @@ pub struct FrontPoint {
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
-    pub departure: f64,
+    #[serde(rename = "departure")]
+    pub distance_from_nominal: f64,
 }
 
-fn by_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
+fn compare_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
     let key = |candidate: &FailureCandidate| (candidate.ln_likelihood, -candidate.departure);
     key(one).partial_cmp(&key(other)).unwrap_or(Ordering::Equal)
 }
 
-impl Front {
+impl ParetoFront {
     /// Of what another front held; in any order.
-    pub(super) fn of(failures: Vec<FailureCandidate>) -> Self {
+    pub(super) fn from_failures(failures: Vec<FailureCandidate>) -> Self {
         let mut front = Self::default();
         failures.iter().for_each(|failure| front.place(failure, usize::MAX));
         front
@@ -57,10 +58,10 @@ impl Front {
     }
 
     /// Takes in one of another front; of equal ones the earlier stays. Whatever the order, all that nothing beats is there in the end.
-    pub(super) fn join(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
+    pub(super) fn merge(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
         let is_equal = |known: &&mut FailureCandidate| {
             known.verdict.robustness.total_cmp(&candidate.verdict.robustness) == Ordering::Equal
-                && by_likelihood(known, candidate) == Ordering::Equal
+                && compare_likelihood(known, candidate) == Ordering::Equal
         };
         match self.failures.iter_mut().find(is_equal) {
             Some(known) if is_earlier(known) => *known = candidate.clone(),
@@ -70,7 +71,7 @@ impl Front {
     }
 
     /// All of it; of more than are kept, some evenly over its length.
-    pub(super) fn thinned(mut self) -> Self {
+    pub(super) fn thin(mut self) -> Self {
         let all = self.failures.len();
         if all > MOST {
             let last = all - 1;
@@ -85,17 +86,17 @@ impl Front {
         &self.failures
     }
 
-    fn place(&mut self, candidate: &FailureCandidate, most: usize) {
+    fn insert(&mut self, candidate: &FailureCandidate, most: usize) {
         // Severest first means least likely first; a failure that beats the new one is at its place or before it.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
         let place = self.failures.partition_point(|known| severity(known) == Ordering::Less);
         let milder = self.failures.partition_point(|known| severity(known) != Ordering::Greater);
         let likeliest_before = milder.checked_sub(1).and_then(|index| self.failures.get(index));
-        if likeliest_before.is_some_and(|known| by_likelihood(known, candidate) != Ordering::Less) {
+        if likeliest_before.is_some_and(|known| compare_likelihood(known, candidate) != Ordering::Less) {
             return;
         }
         let beaten = self.failures.iter().skip(place);
-        let beaten = beaten.take_while(|known| by_likelihood(known, candidate) != Ordering::Greater).count();
+        let beaten = beaten.take_while(|known| compare_likelihood(known, candidate) != Ordering::Greater).count();
         if beaten == 0 && self.failures.len() >= most {
             return;
         }
@@ -135,7 +136,7 @@ mod tests {
                 ln_likelihood: if likely == 0 { f64::NEG_INFINITY } else { f64::from(likely) },
                 departure: f64::from(far) / 4.0,
             }).collect();
-            let mut front = Front::default();
+            let mut front = ParetoFront::default();
             candidates.iter().for_each(|candidate| front.add(candidate));
             let key = |c: &FailureCandidate| (-c.verdict.robustness, (c.ln_likelihood, -c.departure));
             let beats = |a: &FailureCandidate, b: &FailureCandidate| {

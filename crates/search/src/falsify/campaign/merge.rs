@@ -8,12 +8,12 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
-use super::config::Divided;
+use super::config::Sharding;
 use super::findings::Findings;
-use super::run::{CONFIGURATION, JOURNAL, MOST_KINDS, SUMMARY, TEXT, open};
+use super::run::{CONFIGURATION, JOURNAL_FILE, MAX_EXAMINED_KINDS, SUMMARY, TEXT, open};
 use super::shard::{ShardFindings, ShardedCampaign};
 use super::summary::Summary;
-use super::terms::Terms;
+use super::resolved_config::Terms;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examined, Recorder};
@@ -24,8 +24,8 @@ use crumple_store::work::{Finished, WorkError};
 /// Shards of one campaign.
 #[derive(Debug)]
 pub struct MergedCampaign {
-    work: ShardedCampaign,
-    terms: Terms,
+    sharded: ShardedCampaign,
+    config: Terms,
     /// Of each method's evaluations; with the digests of what they came to.
     parts: Parts<String>,
     findings: Findings,
@@ -38,7 +38,7 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn of(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn from_shard(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
         let (_, work, _) = read_shard::<ShardedCampaign>(found)?;
         let terms = Terms::read(work.campaign.clone(), work.nondeterministic)
             .map_err(|problem| found.damaged(SHARD, format!("campaign.{problem}")))?;
@@ -52,7 +52,7 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read, or does not go with the others.
-    pub fn take(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
+    pub fn add_shard(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
         let (shard, work, part) = read_shard(found)?;
         if let Some(field) = self.work.difference(&work) {
             return Err(self.parts.foreign(folder, field));
@@ -81,7 +81,7 @@ impl MergedCampaign {
 
     /// Evaluations of each method that no shard has made, counted from 0.
     #[must_use]
-    pub fn missing(&self) -> Vec<Range<u64>> {
+    pub fn missing_ranges(&self) -> Vec<Range<u64>> {
         self.parts.missing(self.terms.record.budget)
     }
 
@@ -93,17 +93,17 @@ impl MergedCampaign {
 
     /// How many shards there are, and how many were given more than once.
     #[must_use]
-    pub fn shards(&self) -> (u64, u64) {
+    pub fn shard_counts(&self) -> (u64, u64) {
         (self.parts.shards(), self.parts.duplicates())
     }
 
     /// What makes it another campaign than that of one machine, if anything does.
-    fn divided(&self) -> Option<Divided> {
+    fn sharding(&self) -> Option<Sharding> {
         let missing = self.missing();
         // A part that is missing is a search that is not there.
         let searches = if self.terms.record.method.is_blind() { 1 } else { self.parts.shards() };
         let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
-        (searches > 1 || !missing.is_empty()).then(|| Divided {
+        (searches > 1 || !missing.is_empty()).then(|| Sharding {
             searches,
             of_shards: of_shards.filter(|_| !missing.is_empty()),
             missing_shards,
@@ -112,7 +112,7 @@ impl MergedCampaign {
     }
 
     /// What the shards come to, and the failures that it tells, the severest first.
-    fn told(&self) -> (Terms, Findings, Vec<Examined>) {
+    fn merged_findings(&self) -> (Terms, Findings, Vec<Examined>) {
         let mut terms = self.terms.clone();
         terms.record.divided = self.divided();
         let mut findings = self.findings.clone();
@@ -120,7 +120,7 @@ impl MergedCampaign {
         let methods = terms.methods();
         let place =
             |pick: &&FailureCandidate| Some((methods.iter().position(|known| *known == pick.method)?, pick.number));
-        let picks = self.findings.failures.picks(MOST_KINDS);
+        let picks = self.findings.failures.picks(MAX_EXAMINED_KINDS);
         let examined = picks.iter().filter_map(|pick| self.examined.get(&place(pick)?)).cloned().collect();
         let distinct = Recorder { terms: &terms }.distinct(examined);
         (terms, findings, distinct)
@@ -132,7 +132,7 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`CampaignError`] if the folder cannot be used, or holds something else.
-    pub fn write_in(&self, folder: &Path) -> Result<Summary, CampaignError> {
+    pub fn write_to(&self, folder: &Path) -> Result<Summary, CampaignError> {
         let (terms, findings, distinct) = self.told();
         let configuration = terms.record.to_toml()?;
         let work = open(folder, &configuration, true)?;
@@ -143,7 +143,7 @@ impl MergedCampaign {
         let mut results = work.changes();
         let summary = summarised(&mut results)?;
         if work.is_complete() {
-            return match work.read_present(SUMMARY)? == summary.to_json()?.into_bytes() {
+            return match work.read_required(SUMMARY)? == summary.to_json()?.into_bytes() {
                 true => Ok(summary),
                 false => {
                     let problem = "there is a campaign of the same configuration that came to something else";
@@ -153,7 +153,7 @@ impl MergedCampaign {
         }
         results.write(CONFIGURATION, configuration).write(TEXT, summary.to_text());
         // There is a journal where the same campaign was broken off in the folder.
-        results.write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
+        results.write(SUMMARY, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(summary)
     }

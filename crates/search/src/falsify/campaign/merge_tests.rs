@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::super::shard::ShardedCampaign;
-use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, Log, Summary};
+use super::super::{Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, Summary};
 use super::MergedCampaign;
 use crate::falsify::Method;
 use crumple_core::observer::{Observer, Quiet};
@@ -22,7 +22,7 @@ use crumple_world::scenario::space::built_in_space;
 
 const BUDGET: u64 = 40;
 /// The most shards that anything is divided into here.
-const MOST: u32 = 4;
+const MAX_TEST_SHARDS: u32 = 4;
 
 fn campaign(method: Method, seed: u64) -> Campaign {
     Campaign {
@@ -35,16 +35,16 @@ fn campaign(method: Method, seed: u64) -> Campaign {
 }
 
 fn summary_only(resume: bool) -> CampaignOptions {
-    CampaignOptions { log: Log::Summary, resume }
+    CampaignOptions { log: EvaluationLog::Summary, resume }
 }
 
 /// An observer that stops a campaign at once.
-fn stop() -> impl Observer<CampaignProgress> {
+fn stop_immediately() -> impl Observer<CampaignProgress> {
     |_: &CampaignProgress| ControlFlow::Break(())
 }
 
 /// All shards of all numbers, each in a folder of its own.
-fn all_shards(campaign: &Campaign, root: &Path) {
+fn run_all_shards(campaign: &Campaign, root: &Path) {
     for of in 1..=MOST {
         for index in 1..=of {
             let shard = Shard::new(index, of).unwrap();
@@ -53,11 +53,11 @@ fn all_shards(campaign: &Campaign, root: &Path) {
     }
 }
 
-fn folder(root: &Path, shard: Shard) -> PathBuf {
+fn shard_folder(root: &Path, shard: Shard) -> PathBuf {
     root.join(format!("{}-of-{}", shard.index(), shard.of()))
 }
 
-fn merged(folders: &[PathBuf]) -> Result<MergedCampaign, MergeError> {
+fn merge(folders: &[PathBuf]) -> Result<MergedCampaign, MergeError> {
     let mut merged: Option<MergedCampaign> = None;
     for folder in folders {
         let Found::Finished(found) = find(folder)? else { panic!("{} is not finished", folder.display()) };
@@ -69,7 +69,7 @@ fn merged(folders: &[PathBuf]) -> Result<MergedCampaign, MergeError> {
     Ok(merged.unwrap())
 }
 
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+fn read_files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -85,7 +85,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         .collect()
 }
 
-fn single(campaign: &Campaign) -> TempDir {
+fn run_unsharded(campaign: &Campaign) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     campaign.run(folder.path(), summary_only(false), &Quiet).unwrap();
     folder
@@ -116,7 +116,7 @@ fn divisions() -> impl Strategy<Value = Vec<Shard>> {
 fn a_divided_reference_search_is_that_of_one_machine() {
     for (method, seed) in [(Method::Uniform, 3), (Method::Halton, 4)] {
         let (campaign, root) = (campaign(method, seed), tempfile::tempdir().unwrap());
-        all_shards(&campaign, root.path());
+        run_all_shards(&campaign, root.path());
         let single = single(&campaign);
         let expected = files(single.path());
         assert!(expected.len() > 8, "it finds failures: {:?}", expected.keys());
@@ -139,7 +139,7 @@ fn a_divided_reference_search_is_that_of_one_machine() {
 #[test]
 fn a_divided_search_is_one_campaign_with_what_is_missing() {
     let (campaign, root) = (campaign(Method::Auto, 5), tempfile::tempdir().unwrap());
-    all_shards(&campaign, root.path());
+    run_all_shards(&campaign, root.path());
     let single = single(&campaign);
     let one = merged(&[folder(root.path(), Shard::new(1, 1).unwrap())]).unwrap();
     let out = tempfile::tempdir().unwrap();
@@ -267,8 +267,8 @@ fn findings_that_cannot_be_are_refused() {
     let campaign = campaign(Method::Halton, 4);
     let root = tempfile::tempdir().unwrap();
     let shard = Shard::new(1, 2).unwrap();
-    type Change = fn(&mut Value);
-    let changes: [(Change, &str); 11] = [
+    type FindingsMutation = fn(&mut Value);
+    let changes: [(FindingsMutation, &str); 11] = [
         (|_| (), ""),
         (|found| found["examined"] = json!([]), "examined: not the failures"),
         (|found| drop(found["examined"].as_array_mut().unwrap().pop()), "examined: not the failures"),

@@ -18,7 +18,7 @@
 //! Memory does not grow with the budget beyond what is kept of the search itself: evaluations go to disk, 65 536 at a time,
 //! and of failures a few of each kind and those on the front of severity and likelihood are remembered.
 
-mod aim;
+mod objective;
 mod config;
 mod coverage;
 mod encoded;
@@ -26,30 +26,30 @@ mod failures;
 mod findings;
 mod front;
 mod journal;
-mod look;
+mod reader;
 mod merge;
-mod planned;
+mod planning;
 mod regions;
 mod run;
 mod shard;
 mod summarise;
 mod summary;
 mod table;
-mod terms;
+mod resolved_config;
 
-pub use aim::{Aim, UnknownAim};
-pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, Divided, Log};
+pub use objective::{Aim, UnknownObjective};
+pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, Sharding, EvaluationLog};
 pub use coverage::Covered;
 pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
-pub use look::{Look, MOST_SHOWN};
+pub use reader::{CampaignReader, MOST_SHOWN};
 pub use merge::MergedCampaign;
 pub use regions::Region;
 pub use run::{CAMPAIGN, CampaignProgress, with_journal};
-pub use shard::{SHARD_OF_A_CAMPAIGN, ShardDone};
-pub use summary::{AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, Summary};
-pub(in crate::falsify) use terms::Terms;
+pub use shard::{CAMPAIGN_SHARD_KIND, ShardDone};
+pub use summary::{AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, Summary};
+pub(in crate::falsify) use resolved_config::Terms;
 
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
@@ -60,7 +60,7 @@ use crumple_world::sim::{RefusedController, RunError};
 
 /// One evaluation of a campaign.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Evaluated {
+pub struct EvaluatedPoint {
     /// Which one of its method, from 1.
     pub number: u64,
     /// Where in the unit cube.
@@ -70,7 +70,7 @@ pub struct Evaluated {
     /// Logarithm of the distribution's density there, relative to one that is even over the ranges.
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
-    pub departure: f64,
+    pub distance_from_nominal: f64,
     /// What the run was worth.
     pub verdict: RunVerdict,
 }
@@ -104,10 +104,10 @@ pub enum CampaignError {
     NoIdentity(String),
     /// The same, where it would be several machines that go on.
     #[error("the controller `{0}` states no identity: nobody could tell whether shards of it go together")]
-    UnknownInShards(String),
+    NoIdentityInShards(String),
     /// The method of a divided campaign is not built in.
     #[error("the search method `{0}` is not built in: its campaign cannot be divided into shards")]
-    CustomInShards(String),
+    CustomMethodInShards(String),
     /// The search method proposed no points, or points outside the unit cube.
     #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
     InvalidPoints(String),
@@ -116,10 +116,10 @@ pub enum CampaignError {
     Shards(#[from] crumple_store::shard::TooManyShards),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
-    NobodyUnderTest(String),
+    NoVehicleUnderTest(String),
     /// A controller is set against itself.
     #[error("`{0}` is set against itself: what the one fails the other fails as well")]
-    AgainstItself(String),
+    ComparedWithItself(String),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
@@ -132,7 +132,7 @@ pub enum CampaignError {
 }
 
 impl CampaignError {
-    pub(crate) fn encoding(error: impl std::fmt::Display) -> Self {
+    pub(crate) fn from_encoding_error(error: impl std::fmt::Display) -> Self {
         Self::Encoding(error.to_string())
     }
 }

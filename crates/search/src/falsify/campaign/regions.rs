@@ -5,18 +5,18 @@ use serde::{Deserialize, Serialize};
 use crumple_world::scenario::space::{Parameter, Space};
 
 /// Splits on the way to a region, at most.
-const DEPTH: usize = 3;
+const MAX_DEPTH: usize = 3;
 /// Thresholds that are tried for each coordinate.
-const THRESHOLDS: usize = 15;
+const THRESHOLD_COUNT: usize = 15;
 /// Least share of the points in a region.
-const LEAST_SHARE: f64 = 0.02;
+const MIN_SHARE: f64 = 0.02;
 /// Most points the tree is grown from: the first ones, which for both reference searches are as good as any.
-pub(super) const MOST_POINTS: usize = 40_000;
+pub(super) const MAX_POINTS: usize = 40_000;
 
 /// Points of the reference searches and whether they fail: evenly spread over the space, so that shares of points are shares of the
 /// space. Points of a search would be where the search went.
 #[derive(Debug, Default)]
-pub(super) struct Sample {
+pub(super) struct LabelledPoints {
     points: Vec<(Vec<f64>, bool)>,
 }
 
@@ -39,7 +39,7 @@ pub struct Region {
     pub failures_percent: f64,
 }
 
-impl Sample {
+impl LabelledPoints {
     pub(super) fn add(&mut self, values: Vec<f64>, fails: bool) {
         if !self.is_full() {
             self.points.push((values, fails));
@@ -51,13 +51,13 @@ impl Sample {
     }
 
     /// The regions, the densest in failures first; none if nothing or everything fails.
-    pub(super) fn regions(&self, space: &Space) -> Vec<Region> {
+    pub(super) fn find_regions(&self, space: &Space) -> Vec<Region> {
         let all: Vec<&(Vec<f64>, bool)> = self.points.iter().collect();
         let failing = failures(&all);
         if failing == 0 || failing == all.len() {
             return Vec::new();
         }
-        let mut grower = Grower { space, total: all.len(), failing, found: Vec::new() };
+        let mut grower = TreeGrower { space, total: all.len(), failing, found: Vec::new() };
         grower.grow(&all, &mut Vec::new());
         let mut found = grower.found;
         found.sort_by(|a, b| b.failing_percent.total_cmp(&a.failing_percent));
@@ -65,15 +65,15 @@ impl Sample {
     }
 }
 
-fn failures(points: &[&(Vec<f64>, bool)]) -> usize {
+fn count_failures(points: &[&(Vec<f64>, bool)]) -> usize {
     points.iter().filter(|(_, fails)| *fails).count()
 }
 
-struct Grower<'a> {
+struct TreeGrower<'a> {
     space: &'a Space,
     total: usize,
     failing: usize,
-    found: Vec<Region>,
+    regions: Vec<Region>,
 }
 
 /// A condition on one coordinate.
@@ -83,9 +83,9 @@ struct Split {
     threshold: f64,
 }
 
-impl Grower<'_> {
+impl TreeGrower<'_> {
     fn grow(&mut self, points: &[&(Vec<f64>, bool)], path: &mut Vec<(Split, bool)>) {
-        let split = if path.len() < DEPTH { self.best_split(points) } else { None };
+        let split = if path.len() < MAX_DEPTH { self.best_split(points) } else { None };
         let Some(split) = split else {
             let failing = failures(points);
             let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
@@ -179,13 +179,13 @@ fn thresholds(parameter: &Parameter) -> Vec<f64> {
     if parameter.is_choice() {
         return vec![0.5 * (low + high)];
     }
-    let at = |i: usize| parameter.value(i as f64 / (THRESHOLDS + 1) as f64);
+    let at = |i: usize| parameter.value(i as f64 / (THRESHOLD_COUNT + 1) as f64);
     let rounded = |i: usize| {
         let digits = (1.0 - (at(i) - at(i - 1)).log10().floor()).clamp(0.0, 12.0);
         let scale = 10f64.powf(digits);
         (at(i) * scale).round() / scale
     };
-    let mut thresholds: Vec<f64> = (1..=THRESHOLDS).map(rounded).collect();
+    let mut thresholds: Vec<f64> = (1..=THRESHOLD_COUNT).map(rounded).collect();
     thresholds.dedup();
     thresholds
 }
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn a_box_of_failures_is_found_and_said_in_units() {
         let space = built_in_space("high-risk").unwrap();
-        let mut sample = Sample::default();
+        let mut sample = LabelledPoints::default();
         for index in 0..4000 {
             let values = space.values(&space.draw_point(3, index));
             // Close behind a heavy follower.
@@ -224,7 +224,7 @@ mod tests {
         let space = built_in_space("high-risk").unwrap();
         let of = |name: &str| thresholds(space.parameters().iter().find(|p| p.name() == name).unwrap());
         let gaps = of("gap_ahead_m");
-        assert_eq!((gaps.len(), gaps[7]), (THRESHOLDS, 12.6), "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}");
+        assert_eq!((gaps.len(), gaps[7]), (THRESHOLD_COUNT, 12.6), "the middle of 2 to 80 by logarithm is 12.65: {gaps:?}");
         assert!(gaps.windows(2).all(|pair| (1.2..1.32).contains(&(pair[1] / pair[0]))), "{gaps:?}");
         let onsets = of("lead_onset_s");
         assert_eq!((onsets[0], onsets[7], onsets[14]), (0.66, 1.75, 2.84));

@@ -7,8 +7,8 @@ use super::findings::{Findings, Reached};
 use super::journal::Journal;
 use super::summary::Summary;
 use super::table::Table;
-use super::terms::Terms;
-use super::{Campaign, CampaignError, CampaignOptions, Evaluated, Log};
+use super::resolved_config::Terms;
+use super::{Campaign, CampaignError, CampaignOptions, Evaluated, EvaluationLog};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crumple_core::observer::Observer;
@@ -22,7 +22,7 @@ use crumple_world::sim::NamedController;
 /// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
 const BLIND_BATCHES: usize = 16;
 /// Kinds of failures that are looked at closely: the most frequent ones.
-pub(super) const MOST_KINDS: usize = 12;
+pub(super) const MAX_EXAMINED_KINDS: usize = 12;
 
 /// Progress of a campaign.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,16 +40,16 @@ pub struct CampaignProgress {
 }
 
 /// A part of every method's budget, under way in a folder.
-pub(super) struct Searching<'a> {
+pub(super) struct CampaignRun<'a> {
     pub(super) campaign: &'a Campaign,
-    pub(super) terms: &'a Terms,
-    pub(super) work: &'a Work,
+    pub(super) config: &'a Terms,
+    pub(super) run_folder: &'a Work,
     pub(super) journal: Journal,
     /// Where every evaluation goes, if it is kept.
     pub(super) table: Option<Table<'a>>,
     pub(super) findings: Findings,
     /// Evaluations of each method, counted from 0.
-    pub(super) part: Range<u64>,
+    pub(super) evaluation_range: Range<u64>,
 }
 
 impl Campaign {
@@ -71,39 +71,39 @@ impl Campaign {
         let configuration = terms.record.to_toml()?;
         let work = open(folder, &configuration, resume)?;
         if work.is_complete() {
-            return Summary::from_json(&String::from_utf8_lossy(&work.read_present(SUMMARY)?));
+            return Summary::from_json(&String::from_utf8_lossy(&work.read_required(SUMMARY)?));
         }
-        work.changes().write(CONFIGURATION, configuration).grow(JOURNAL).commit()?;
-        let mut searching = Searching {
+        work.changes().write(CONFIGURATION, configuration).grow(JOURNAL_FILE).commit()?;
+        let mut searching = CampaignRun {
             campaign: self,
             terms: &terms,
             work: &work,
-            journal: Journal::in_work(&work, JOURNAL, resume)?,
-            table: (log == Log::Full).then(|| Table::new(&terms.space, &work)),
+            journal: Journal::open_in_folder(&work, JOURNAL_FILE, resume)?,
+            table: (log == EvaluationLog::Full).then(|| Table::new(&terms.space, &work)),
             findings: Findings::of(&terms),
             part: 0..self.budget,
         };
         searching.search_all(observer)?;
-        searching.ask_the_silent()?;
-        let Searching { table, findings, .. } = &mut searching;
+        searching.find_unanswered_reasons()?;
+        let CampaignRun { table, findings, .. } = &mut searching;
         // Until all of this is there, the journal is.
         let mut results = work.changes();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
         let progress = state(None, &findings.reached, self.total(&(0..self.budget)));
         observer.notify(&progress)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { terms: &terms });
-        let mut distinct = recorder.distinct(examiner.examine_all(&findings.failures.picks(MOST_KINDS))?);
-        examiner.class_all(&mut distinct);
-        self.none_refused()?;
+        let mut distinct = recorder.distinct(examiner.examine_all(&findings.failures.picks(MAX_EXAMINED_KINDS))?);
+        examiner.classify_all(&mut distinct);
+        self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = Summary::of(&terms, findings, counterexamples, &[])?;
         observer.notify(&progress)?;
-        results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL).commit()?;
+        results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(summary)
     }
 
-    fn total(&self, part: &Range<u64>) -> u64 {
+    fn total_evaluations(&self, part: &Range<u64>) -> u64 {
         (part.end - part.start).saturating_mul(self.methods().len() as u64)
     }
 
@@ -112,29 +112,29 @@ impl Campaign {
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
         }
-        if self.contrast.as_ref().is_some_and(|contrast| contrast.is_with(&self.controller)) {
+        if self.contrast.as_ref().is_some_and(|contrast| contrast.is_self_comparison(&self.controller)) {
             return Err(CampaignError::AgainstItself(self.controller.name.clone()));
         }
         self.judging().at(nominal, 1)?;
-        self.none_refused()
+        self.ensure_all_trusted()
     }
 
     /// Whether what was found with the controllers would come out again: asked before anything of it is kept or told.
-    pub(super) fn none_refused(&self) -> Result<(), CampaignError> {
-        Ok(self.drivers().try_for_each(NamedController::not_refused)?)
+    pub(super) fn ensure_all_trusted(&self) -> Result<(), CampaignError> {
+        Ok(self.drivers().try_for_each(NamedController::ensure_trusted)?)
     }
 
     /// Verdicts at points, in their order.
     pub(super) fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
         let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
         let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
-        let verdicts = self.judging().all_at(&asked).into_iter().collect::<Result<_, _>>()?;
-        self.none_refused()?;
+        let verdicts = self.judging().evaluate_all(&asked).into_iter().collect::<Result<_, _>>()?;
+        self.ensure_all_trusted()?;
         Ok(verdicts)
     }
 }
 
-impl Searching<'_> {
+impl CampaignRun<'_> {
     /// Every method with its part of the budget.
     pub(super) fn search_all(&mut self, observer: &dyn Observer<CampaignProgress>) -> Result<(), CampaignError> {
         for method in self.campaign.methods() {
@@ -145,14 +145,14 @@ impl Searching<'_> {
     }
 
     /// Finds out why the other controller gave no answer where it did not: a journal does not say.
-    pub(super) fn ask_the_silent(&mut self) -> Result<(), CampaignError> {
+    pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
         for reached in &mut self.findings.reached {
             if let Some(silent) = &mut reached.other_unanswered {
-                let because = self.campaign.judging().silent_beside(&self.terms.space.scenario(&silent.values)?);
+                let because = self.campaign.judging().partner_failure_reason(&self.terms.space.scenario(&silent.values)?);
                 silent.because = because.unwrap_or_else(|| "it answers when it is asked again".to_owned());
             }
         }
-        self.campaign.none_refused()
+        self.campaign.ensure_all_trusted()
     }
 
     pub(super) fn progress(&self, current: Option<&Reached>) -> CampaignProgress {
@@ -187,7 +187,7 @@ impl Searching<'_> {
             // An observer that stops the campaign may have ended runs early: their verdicts are not kept.
             observer.notify(&self.progress(Some(&reached)))?;
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
-                self.work.grew(JOURNAL, durable)?;
+                self.work.grew(JOURNAL_FILE, durable)?;
             }
             let mut told = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
@@ -213,7 +213,7 @@ impl Searching<'_> {
 }
 
 /// A folder for a campaign, if it is this one's or nobody's; where it is another's, the error says in what they differ.
-pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<Work, CampaignError> {
+pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) -> Result<Work, CampaignError> {
     let asked = Asked {
         kind: CAMPAIGN,
         configuration,
@@ -221,7 +221,7 @@ pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<W
         resume,
         outputs: &[
             CONFIGURATION,
-            JOURNAL,
+            JOURNAL_FILE,
             SUMMARY,
             TEXT,
             "counterexamples/",
@@ -232,7 +232,7 @@ pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<W
     };
     match Work::open(folder, asked) {
         Err(WorkError::OtherConfiguration { path, found, .. }) => {
-            Err(CampaignError::Folder(difference::in_toml(&path, "campaign", &found, configuration)))
+            Err(CampaignError::Folder(difference::describe_toml(&path, "campaign", &found, configuration)))
         }
         work => Ok(work?),
     }
@@ -242,10 +242,10 @@ pub(super) fn open(folder: &Path, configuration: &str, resume: bool) -> Result<W
 ///
 /// # Errors
 /// [`WorkError::Disk`] if it cannot be read. What is damaged is in what was found, as for every other file.
-pub fn with_journal(folder: &Path, mut found: Examined) -> Result<Examined, WorkError> {
+pub fn verify_journal(folder: &Path, mut found: Examined) -> Result<Examined, WorkError> {
     let Some(identity) = &found.identity else { return Ok(found) };
-    if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL) {
-        match Journal::look(&folder.join(JOURNAL), identity) {
+    if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL_FILE) {
+        match Journal::look(&folder.join(JOURNAL_FILE), identity) {
             Err(WorkError::Damaged { problem, .. }) => *state = Err(problem),
             looked => looked?,
         }
@@ -254,14 +254,14 @@ pub fn with_journal(folder: &Path, mut found: Examined) -> Result<Examined, Work
 }
 
 /// What a folder of one is called in its `work.json`.
-pub const CAMPAIGN: &str = "campaign";
+pub const CAMPAIGN_KIND: &str = "campaign";
 
-pub(super) const CONFIGURATION: &str = "campaign.toml";
-pub(super) const JOURNAL: &str = "evaluations.journal";
-pub(super) const SUMMARY: &str = "summary.json";
-pub(super) const TEXT: &str = "summary.txt";
+pub(super) const CONFIGURATION_FILE: &str = "campaign.toml";
+pub(super) const JOURNAL_FILE: &str = "evaluations.journal";
+pub(super) const SUMMARY_FILE: &str = "summary.json";
+pub(super) const SUMMARY_TEXT_FILE: &str = "summary.txt";
 
-fn state(current: Option<&Reached>, done: &[Reached], total: u64) -> CampaignProgress {
+fn campaign_progress(current: Option<&Reached>, done: &[Reached], total: u64) -> CampaignProgress {
     let all = || done.iter().chain(current);
     CampaignProgress {
         method: current.map(|reached| reached.method.clone()),

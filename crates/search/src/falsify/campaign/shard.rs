@@ -17,19 +17,19 @@ use super::failures::{Failures, Kind};
 use super::findings::{Findings, Reached};
 use super::front::Front;
 use super::journal::Journal;
-use super::run::{CampaignProgress, JOURNAL, Searching};
-use super::terms::Terms;
-use super::{Campaign, CampaignError, FailureCandidate, FailureKind, Log};
+use super::run::{CampaignProgress, JOURNAL_FILE, Searching};
+use super::resolved_config::Terms;
+use super::{Campaign, CampaignError, FailureCandidate, FailureKind, EvaluationLog};
 use crate::falsify::Method;
-use crate::falsify::counterexample::{Examined, ExaminedRow, Examiner};
+use crate::falsify::counterexample::{Examined, ExaminedFailureRecord, Examiner};
 use crumple_core::observer::Observer;
 use crumple_store::shard::{Shard, Sharded, open_shard};
 use crumple_store::work::{Finished, WorkError};
 
 /// What a folder of one is called in its `work.json`.
-pub const SHARD_OF_A_CAMPAIGN: &str = "shard of a campaign";
+pub const CAMPAIGN_SHARD_KIND: &str = "shard of a campaign";
 
-const FINDINGS: &str = ShardedCampaign::RESULTS;
+const FINDINGS_FILE: &str = ShardedCampaign::RESULTS;
 
 /// Everything that decides a campaign that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,7 +39,7 @@ pub(super) struct ShardedCampaign {
 }
 
 impl Sharded for ShardedCampaign {
-    const KIND: &'static str = SHARD_OF_A_CAMPAIGN;
+    const KIND: &'static str = CAMPAIGN_SHARD_KIND;
     const VERSION: u32 = 1;
     const RESULTS: &'static str = "findings.json";
     const PARTS: &'static str = "evaluations of each method";
@@ -65,9 +65,9 @@ impl Sharded for ShardedCampaign {
 #[serde(deny_unknown_fields)]
 struct FindingsFile {
     methods: Vec<Reached>,
-    kinds: Vec<KindRow>,
+    kinds: Vec<FailureGroupRecord>,
     front: Vec<FailureCandidate>,
-    examined: Vec<ExaminedRow>,
+    examined: Vec<ExaminedFailureRecord>,
     /// Failures that were looked at and did not fail again, as a verdict within rounding of none may.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     not_reproduced: Vec<(Method, u64)>,
@@ -76,7 +76,7 @@ struct FindingsFile {
 /// Failures of one kind, which is that of each of them.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct KindRow {
+struct FailureGroupRecord {
     by_method: Vec<(Method, u64, u64)>,
     first: FailureCandidate,
     severest: FailureCandidate,
@@ -85,7 +85,7 @@ struct KindRow {
 
 /// What came of a shard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct ShardDone {
+pub struct ShardSummary {
     /// Evaluations of all methods together.
     pub evaluations: u64,
     /// How many failed.
@@ -114,38 +114,38 @@ impl Campaign {
         if let Method::Custom(_) = self.method {
             return Err(CampaignError::CustomInShards(self.method.name().to_owned()));
         }
-        let terms = Terms::of(self, Log::Summary)?;
+        let terms = Terms::of(self, EvaluationLog::Summary)?;
         self.check(&terms.nominal)?;
         let (nondeterministic, campaign) = (terms.nondeterministic, terms.record.clone());
         let work = open_shard(&ShardedCampaign { nondeterministic, campaign }, shard, folder, resume)?;
         if work.is_complete() {
-            let read = serde_json::from_slice(&work.read_present(FINDINGS)?);
+            let read = serde_json::from_slice(&work.read_required(FINDINGS)?);
             return Ok(FindingsFile::done(&read.map_err(CampaignError::encoding)?));
         }
-        work.changes().grow(JOURNAL).commit()?;
-        let journal = Journal::in_work(&work, JOURNAL, resume)?;
+        work.changes().grow(JOURNAL_FILE).commit()?;
+        let journal = Journal::open_in_folder(&work, JOURNAL_FILE, resume)?;
         let findings = Findings::of(&terms);
         let mut searching =
             Searching { campaign: self, terms: &terms, work: &work, journal, table: None, findings, part };
         searching.search_all(observer)?;
-        searching.ask_the_silent()?;
+        searching.find_unanswered_reasons()?;
         observer.notify(&searching.progress(None))?;
         let (findings, examiner) = (&searching.findings, Examiner::new(self, &terms));
         // Of all kinds: which are the most frequent in the end is not known here.
         let mut examined = examiner.examine_all(&findings.failures.picks(usize::MAX))?;
-        examiner.class_all(&mut examined);
-        self.none_refused()?;
+        examiner.classify_all(&mut examined);
+        self.ensure_all_trusted()?;
         observer.notify(&searching.progress(None))?;
         let file = FindingsFile::of(findings, &examined)?;
-        work.changes().write(FINDINGS, json(&file)?).remove(JOURNAL).commit()?;
+        work.changes().write(FINDINGS, json(&file)?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(file.done())
     }
 }
 
 impl FindingsFile {
-    fn of(findings: &Findings, examined: &[Examined]) -> Result<Self, CampaignError> {
-        let row = |kind: &Kind| KindRow {
+    fn from_findings(findings: &Findings, examined: &[Examined]) -> Result<Self, CampaignError> {
+        let row = |kind: &Kind| FailureGroupRecord {
             by_method: kind.by_method.clone(),
             first: kind.first.clone(),
             severest: kind.severest.clone(),
@@ -161,12 +161,12 @@ impl FindingsFile {
             methods: findings.reached.clone(),
             kinds: findings.failures.kinds.iter().map(row).collect(),
             front: findings.failures.front.failures().to_vec(),
-            examined: examined.iter().map(ExaminedRow::of).collect::<Result<_, _>>()?,
+            examined: examined.iter().map(ExaminedFailureRecord::of).collect::<Result<_, _>>()?,
             not_reproduced: not_reproduced.collect(),
         })
     }
 
-    fn done(&self) -> ShardDone {
+    fn summary(&self) -> ShardDone {
         let sum = |of: fn(&Reached) -> u64| self.methods.iter().map(of).fold(0, u64::saturating_add);
         ShardDone {
             evaluations: sum(|reached| reached.evaluations),
@@ -176,7 +176,7 @@ impl FindingsFile {
     }
 
     /// What it says, unless no evaluations in that part can have come to it.
-    fn read(self, terms: &Terms, part: &Range<u64>) -> Result<(Findings, Vec<Examined>), String> {
+    fn into_findings(self, terms: &Terms, part: &Range<u64>) -> Result<(Findings, Vec<Examined>), String> {
         let methods = terms.methods();
         let dimension = terms.space.dimension();
         let is_sound = self.methods.iter().map(|reached| &reached.method).eq(&methods)
@@ -214,7 +214,7 @@ impl FindingsFile {
         }
         failures.front = Front::of(self.front);
         let picks = failures.picks(usize::MAX);
-        let looked_at = self.examined.iter().map(ExaminedRow::found_at).chain(self.not_reproduced.iter().cloned());
+        let looked_at = self.examined.iter().map(ExaminedFailureRecord::found_at).chain(self.not_reproduced.iter().cloned());
         let mut looked_at: Vec<(Method, u64)> = looked_at.collect();
         let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method.clone(), pick.number)).collect();
         let order = |(method, number): &(Method, u64)| (methods.iter().position(|known| known == method), *number);
@@ -228,8 +228,8 @@ impl FindingsFile {
     }
 }
 
-impl KindRow {
-    fn read(self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Result<Kind, String> {
+impl FailureGroupRecord {
+    fn into_group(self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Result<Kind, String> {
         let Self { by_method, first, severest, likeliest } = self;
         let [kind, others @ ..] = [&first, &severest, &likeliest].map(|found| found.kind(terms, methods, part));
         let Some(kind) = kind.filter(|kind| others.iter().all(|other| other == &Some(*kind))) else {
@@ -255,7 +255,7 @@ impl KindRow {
 
 impl FailureCandidate {
     /// Its kind, if it is one that these evaluations can have met.
-    fn kind(&self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
+    fn checked_kind(&self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
         let is_made = methods.contains(&self.method)
             && part.contains(&self.number.wrapping_sub(1))
             && terms.space.contains(&self.values)
@@ -287,6 +287,6 @@ impl ShardFindings {
     }
 }
 
-fn json(value: &impl Serialize) -> Result<String, CampaignError> {
+fn to_json(value: &impl Serialize) -> Result<String, CampaignError> {
     Ok(serde_json::to_string(value).map_err(CampaignError::encoding)? + "\n")
 }

@@ -7,17 +7,17 @@ use super::coverage::Coverage;
 use super::failures::Kind;
 use super::findings::{Findings, Reached};
 use super::summary::{
-    AvoidabilitySummary, ByMethod, CoverageSummary, KindSummary, MethodSummary, SUMMARY_VERSION, Summary,
+    AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, SUMMARY_VERSION, Summary,
 };
-use super::terms::Terms;
-use crate::falsify::ContrastRecord;
+use super::resolved_config::Terms;
+use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
 use crumple_world::sim::Unanswered;
 
 impl Summary {
     /// What was found, with the distinct failures as they were written down. Evaluations may be missing.
-    pub(super) fn of(
+    pub(super) fn from_findings(
         terms: &Terms,
         findings: &Findings,
         counterexamples: Vec<Counterexample>,
@@ -56,7 +56,7 @@ impl Summary {
             failures: failures
                 .by_frequency()
                 .into_iter()
-                .map(|kind| KindSummary::of(kind, terms, &counterexamples))
+                .map(|kind| FailureKindSummary::of(kind, terms, &counterexamples))
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
             regions: findings.regions(terms, missing),
@@ -67,8 +67,8 @@ impl Summary {
 }
 
 impl MethodSummary {
-    fn of(reached: &Reached, contrast: Option<&ContrastRecord>) -> Self {
-        let is_metamorphic = matches!(contrast, Some(ContrastRecord::Metamorphic(_)));
+    fn from_results(reached: &Reached, contrast: Option<&FailureCriterionRecord>) -> Self {
+        let is_metamorphic = matches!(contrast, Some(FailureCriterionRecord::Metamorphic(_)));
         Self {
             method: reached.method.name().to_owned(),
             evaluations: reached.evaluations,
@@ -84,9 +84,9 @@ impl MethodSummary {
     }
 }
 
-impl KindSummary {
-    fn of(kind: &Kind, terms: &Terms, examined: &[Counterexample]) -> Self {
-        let by_method = |(method, count, first): &(crate::falsify::Method, u64, u64)| ByMethod {
+impl FailureKindSummary {
+    fn from_failures(kind: &Kind, terms: &Terms, examined: &[Counterexample]) -> Self {
+        let by_method = |(method, count, first): &(crate::falsify::Method, u64, u64)| FailuresByMethod {
             method: method.name().to_owned(),
             count: *count,
             first: *first,
@@ -107,6 +107,6 @@ impl KindSummary {
     }
 }
 
-fn finite(value: f64) -> Option<f64> {
+fn finite_or_none(value: f64) -> Option<f64> {
     Some(value).filter(|value| value.is_finite())
 }

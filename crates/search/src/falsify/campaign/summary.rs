@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Aim, CampaignError, Covered, Divided, FrontPoint, Region};
-use crate::falsify::ContrastRecord;
+use super::{Aim, CampaignError, Covered, Sharding, FrontPoint, Region};
+use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoted::Terminal;
 use crumple_store::shard::as_array;
@@ -17,11 +17,11 @@ use crumple_world::sim::Unanswered;
 pub(super) const SUMMARY_VERSION: u32 = 1;
 
 /// Missing ranges that are printed.
-const SHOWN_RANGES: usize = 20;
+const MAX_SHOWN_RANGES: usize = 20;
 
 /// What a campaign found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+pub struct CampaignSummary {
     /// Version of the format: 1.
     pub version: u32,
     /// Version of crumple.
@@ -43,19 +43,22 @@ pub struct Summary {
     pub specification: String,
     /// What else must be so for a failure to count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub contrast: Option<ContrastRecord>,
+    #[serde(rename = "contrast")]
+    pub failure_criterion: Option<FailureCriterionRecord>,
     /// The method asked for.
     pub method: String,
     /// What the search was after once it knew failures.
     #[serde(default = "default_aim")]
-    pub aim: String,
+    #[serde(rename = "aim")]
+    pub objective: String,
     /// Evaluations of each method.
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
     /// Of a campaign that was put together of shards: how, where that makes it another than that of one machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub divided: Option<Divided>,
+    #[serde(rename = "divided")]
+    pub sharding: Option<Sharding>,
     /// Evaluations of the method asked for.
     pub evaluations: u64,
     /// Whether any method found a failure.
@@ -73,7 +76,7 @@ pub struct Summary {
     /// What each method reached: the one asked for, then the reference searches.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
-    pub failures: Vec<KindSummary>,
+    pub failures: Vec<FailureKindSummary>,
     /// Of all failing evaluations, those that no other one beats both in severity and in likelihood, the severest first.
     #[serde(default)]
     pub front: Vec<FrontPoint>,
@@ -83,11 +86,11 @@ pub struct Summary {
     pub regions: Vec<Region>,
 }
 
-fn default_aim() -> String {
+fn default_objective() -> String {
     Aim::default().name().to_owned()
 }
 
-impl Divided {
+impl Sharding {
     fn write(&self, out: &mut String, method: &str) -> std::fmt::Result {
         if self.searches > 1 {
             writeln!(out, "  put together of {} searches by {method}, each by a seed of its own", self.searches)?;
@@ -95,10 +98,10 @@ impl Divided {
         if let (Some(of), false) = (self.of_shards, self.missing_shards.is_empty()) {
             writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", as_array(&self.missing_shards))?;
         } else {
-            for [first, last] in self.missing_evaluations.iter().take(SHOWN_RANGES) {
+            for [first, last] in self.missing_evaluations.iter().take(MAX_SHOWN_RANGES) {
                 writeln!(out, "  INCOMPLETE: evaluations {first} to {last} of each method are missing")?;
             }
-            if let Some(more @ 1..) = self.missing_evaluations.len().checked_sub(SHOWN_RANGES) {
+            if let Some(more @ 1..) = self.missing_evaluations.len().checked_sub(MAX_SHOWN_RANGES) {
                 writeln!(out, "  and {more} ranges more, in summary.json")?;
             }
         }
@@ -122,7 +125,7 @@ pub struct AvoidabilitySummary {
 impl AvoidabilitySummary {
     /// Of a list of distinct failures; none if none of them was classed.
     #[must_use]
-    pub fn of(found: &[Counterexample]) -> Option<Self> {
+    pub fn from_counterexamples(found: &[Counterexample]) -> Option<Self> {
         let count = |class| found.iter().filter(|one| one.avoidability.class() == class).count();
         let [avoidable, unavoidable, undecided] =
             [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided].map(count);
@@ -157,7 +160,7 @@ pub struct MethodSummary {
 
 /// Failures of one kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct KindSummary {
+pub struct FailureKindSummary {
     /// In words.
     pub kind: String,
     /// Of a controller that gave no answer: when and why, in the severest of those that were looked at.
@@ -175,12 +178,12 @@ pub struct KindSummary {
     /// How often it was found.
     pub count: u64,
     /// By whom.
-    pub by_method: Vec<ByMethod>,
+    pub by_method: Vec<FailuresByMethod>,
 }
 
 /// Failures of one kind found by one method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ByMethod {
+pub struct FailuresByMethod {
     /// The method.
     pub method: String,
     /// How often it found one.
@@ -200,11 +203,11 @@ pub struct CoverageSummary {
 }
 
 /// Regions that are printed, beside the safest one.
-const SHOWN_REGIONS: usize = 3;
+const MAX_SHOWN_REGIONS: usize = 3;
 /// Failures on the front that are printed.
-const SHOWN_FRONT: usize = 6;
+const MAX_SHOWN_FRONT_POINTS: usize = 6;
 
-impl Summary {
+impl CampaignSummary {
     /// The text of `summary.json`.
     ///
     /// # Errors
@@ -242,7 +245,7 @@ impl Summary {
             "  {:>10} {:>12} {:>13} {:>9}  {:<22} what happens",
             "robustness", "impact m/s", "ln likelihood", "departure", "evaluation"
         )?;
-        let shown = all.min(SHOWN_FRONT);
+        let shown = all.min(MAX_SHOWN_FRONT_POINTS);
         for point in (0..shown).filter_map(|place| self.front.get(place * last / (shown - 1))) {
             let impact = point.impact_speed_mps.map_or("-".to_owned(), |speed| format!("{speed:.1}"));
             writeln!(
@@ -262,9 +265,9 @@ impl Summary {
     }
 
     /// Of how many evaluations nothing is known, since the one they are set against gave no answer.
-    fn write_silent(&self, out: &mut String) -> std::fmt::Result {
+    fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
         let who = match &self.contrast {
-            Some(ContrastRecord::Against { controller, .. }) => format!("`{}`", Terminal(controller)),
+            Some(FailureCriterionRecord::Against { controller, .. }) => format!("`{}`", Terminal(controller)),
             _ => "the controller in the other scenario".to_owned(),
         };
         for method in &self.methods {
@@ -277,8 +280,8 @@ impl Summary {
     }
 
     /// How many evaluations there is no other scenario to set against.
-    fn write_alone(&self, out: &mut String) -> std::fmt::Result {
-        let Some(ContrastRecord::Metamorphic(relation)) = &self.contrast else { return Ok(()) };
+    fn write_without_partner(&self, out: &mut String) -> std::fmt::Result {
+        let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.contrast else { return Ok(()) };
         for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
             if let Some(alone @ 1..) = without_partner {
                 let partner = relation.describe_partner();
@@ -349,8 +352,8 @@ impl Summary {
                 method.method, method.evaluations, method.failures
             )?;
         }
-        self.write_alone(out)?;
-        self.write_silent(out)?;
+        self.write_without_partner(out)?;
+        self.write_unanswered(out)?;
         if !self.failures.is_empty() {
             writeln!(out, "\n  kinds of failures, and after how many evaluations each method met them first")?;
             for kind in &self.failures {
@@ -377,7 +380,7 @@ impl Summary {
             )?;
             // The densest ones, and the safest one.
             let safest = self.regions.len() - 1;
-            let shown = |index: &usize| *index < SHOWN_REGIONS || *index == safest;
+            let shown = |index: &usize| *index < MAX_SHOWN_REGIONS || *index == safest;
             for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {
                 let conditions =
                     if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };

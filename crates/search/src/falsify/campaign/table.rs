@@ -14,7 +14,7 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 
-use super::terms::Terms;
+use super::resolved_config::Terms;
 use super::{CampaignError, Evaluated};
 use crate::falsify::Method;
 use crumple_store::work::{Changes, Work};
@@ -23,7 +23,7 @@ use crumple_world::scenario::VehicleClass;
 use crumple_world::scenario::space::{KEY_COLUMNS, Parameter, RESULT_COLUMNS, Space};
 
 /// Rows of a part.
-const ROWS: usize = 65_536;
+const ROWS_PER_PART: usize = 65_536;
 
 /// Maximum bytes of a field, commas and quotes included: more than any number or name has.
 const MAX_FIELD_BYTES: usize = 64;
@@ -32,21 +32,21 @@ const MAX_FIELD_BYTES: usize = 64;
 const EXTENSION: &str = ".csv.gz";
 
 /// Writes rows to parts.
-pub(super) struct Table<'a> {
+pub(super) struct EvaluationTable<'a> {
     space: &'a Space,
-    work: &'a Work,
-    parts: usize,
+    run_folder: &'a Work,
+    part_count: usize,
     rows: Vec<(Method, Evaluated)>,
 }
 
-impl<'a> Table<'a> {
+impl<'a> EvaluationTable<'a> {
     pub(super) fn new(space: &'a Space, work: &'a Work) -> Self {
         Self { space, work, parts: 0, rows: Vec::new() }
     }
 
     pub(super) fn add(&mut self, method: &Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
         self.rows.push((method.clone(), evaluated.clone()));
-        if self.rows.len() < ROWS {
+        if self.rows.len() < ROWS_PER_PART {
             return Ok(());
         }
         // A resumed campaign writes the same part again.
@@ -65,12 +65,12 @@ impl<'a> Table<'a> {
         Ok(())
     }
 
-    fn part(&self) -> Result<(String, Vec<u8>), CampaignError> {
+    fn encode_part(&self) -> Result<(String, Vec<u8>), CampaignError> {
         let name = format!("evaluations/part-{:05}{EXTENSION}", self.parts);
         Ok((name, self.encode().map_err(CampaignError::encoding)?))
     }
 
-    fn encode(&self) -> Result<Vec<u8>, csv::Error> {
+    fn encode_rows(&self) -> Result<Vec<u8>, csv::Error> {
         let mut table = Writer::from_writer(GzEncoder::new(Vec::new(), Compression::fast()));
         table.write_record(columns(self.space))?;
         let parameters: Vec<_> = self.space.coordinate_parameters().collect();
@@ -105,7 +105,7 @@ fn columns(space: &Space) -> Vec<String> {
 }
 
 /// Formats a number so that it reads back as the same, with an exponent where decimals would be long.
-fn number(value: f64) -> String {
+fn format_number(value: f64) -> String {
     format!("{value:?}")
 }
 
@@ -113,7 +113,7 @@ fn number(value: f64) -> String {
 ///
 /// # Errors
 /// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
-pub(super) fn decode(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Method, Evaluated)>, CampaignError> {
+pub(super) fn decode_part(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Method, Evaluated)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
         return Err(damaged("an earlier crumple wrote this log, in a format that crumple no longer reads"));
@@ -121,7 +121,7 @@ pub(super) fn decode(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Meth
     let columns = columns(&terms.space);
     let header: usize = columns.iter().map(|column| column.len() + 3).sum();
     // A few compressed bytes can stand for gigabytes.
-    let most = header + ROWS * columns.len() * MAX_FIELD_BYTES;
+    let most = header + ROWS_PER_PART * columns.len() * MAX_FIELD_BYTES;
     let mut table = csv::Reader::from_reader(GzDecoder::new(part).take(most as u64));
     let unreadable = |error: csv::Error| damaged(&error.to_string());
     if table.headers().map_err(unreadable)? != columns {
@@ -139,7 +139,7 @@ pub(super) fn decode(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Meth
 }
 
 /// Reads a row; none if crumple did not write it.
-fn row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) -> Option<(Method, Evaluated)> {
+fn parse_row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) -> Option<(Method, Evaluated)> {
     let mut fields = record.iter();
     let method = fields.next()?.parse().ok()?;
     let number = fields.next()?.parse().ok()?;
@@ -175,7 +175,7 @@ fn row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) -> Optio
 }
 
 /// Returns the number of a value that has a name.
-fn named(parameter: &Parameter, name: &str) -> Option<f64> {
+fn parse_named_value(parameter: &Parameter, name: &str) -> Option<f64> {
     let [low, high] = parameter.range();
     (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.show(number) == name)
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     ChasingCarsError, Inputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness, robustness,
 };
-use crate::falsify::{Cube, Method};
+use crate::falsify::{UnitCube, Method};
 use crumple_world::measure::stl::Formula;
 
 /// The result of a method on the six specifications.
@@ -20,13 +20,13 @@ pub struct Benchmark {
     /// By how much a counterexample violates its specification at both steps, at least, in metres.
     pub margin_m: f64,
     /// One row a specification.
-    pub rows: Vec<Row>,
+    pub rows: Vec<BenchmarkRow>,
 }
 
 /// One specification.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Row {
+pub struct BenchmarkRow {
     /// Name of the specification.
     pub spec: String,
     /// Its formula: published ones differ.
@@ -44,7 +44,7 @@ pub struct Row {
 /// One run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Run {
+pub struct BenchmarkRun {
     /// Its seed.
     pub seed: u64,
     /// Inputs evaluated, up to and with the first counterexample.
@@ -54,13 +54,13 @@ pub struct Run {
     /// Smallest robustness found, at that step of the two where it is larger.
     pub best_robustness: f64,
     /// What falsified the specification, if anything did.
-    pub counterexample: Option<Counterexample>,
+    pub counterexample: Option<FalsifyingInputs>,
 }
 
 /// Inputs under which a specification is violated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Counterexample {
+pub struct FalsifyingInputs {
     /// Throttle of each 5 s.
     pub throttle: Vec<f64>,
     /// Brake of each 5 s.
@@ -88,8 +88,8 @@ impl Run {
 ///
 /// # Errors
 /// [`ChasingCarsError`] if a specification does not fit the model.
-pub fn benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
-    let row = |(name, text): (&str, &str)| -> Result<Row, ChasingCarsError> {
+pub fn run_benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
+    let row = |(name, text): (&str, &str)| -> Result<BenchmarkRow, ChasingCarsError> {
         let formula: Formula = text.parse()?;
         let runs: Vec<Run> = (0..seeds as u64)
             .into_par_iter()
@@ -98,7 +98,7 @@ pub fn benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) 
         let successes: Vec<f64> =
             runs.iter().filter(|run| run.is_success()).map(|run| run.evaluations as f64).collect();
         let mean = successes.iter().sum::<f64>() / successes.len() as f64;
-        Ok(Row {
+        Ok(BenchmarkRow {
             spec: name.to_owned(),
             formula: text.to_owned(),
             successes: successes.len(),
@@ -115,10 +115,10 @@ pub fn benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) 
 ///
 /// What is violated at one step need not be at a finer one, and is then no counterexample: the search is told the larger of both values
 /// and goes on.
-fn run(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<Run, ChasingCarsError> {
+fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<Run, ChasingCarsError> {
     let mut run =
         Run { seed, evaluations: 0, finer_simulations: 0, best_robustness: f64::INFINITY, counterexample: None };
-    let Ok(cube) = Cube::new([PIECES, PIECES]) else { return Ok(run) };
+    let Ok(cube) = UnitCube::new([PIECES, PIECES]) else { return Ok(run) };
     let mut search = method.start(&cube, seed);
     while run.evaluations < budget {
         let mut told = Vec::new();
@@ -133,7 +133,7 @@ fn run(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<R
                 value = robustness.max(finer_robustness);
                 if value < -MARGIN_M {
                     run.best_robustness = run.best_robustness.min(value);
-                    run.counterexample = Some(Counterexample {
+                    run.counterexample = Some(FalsifyingInputs {
                         throttle: inputs.throttle.to_vec(),
                         brake: inputs.brake.to_vec(),
                         robustness,

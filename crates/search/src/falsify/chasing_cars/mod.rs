@@ -29,10 +29,10 @@ pub(crate) const STEP_S: f64 = 0.01;
 pub(crate) const STEPS: usize = 10_000;
 /// Pieces of each input.
 pub const PIECES: usize = 20;
-const STEPS_A_PIECE: usize = STEPS / PIECES;
+const STEPS_PER_PIECE: usize = STEPS / PIECES;
 /// Steps of a finer simulation for each step. The cars look at their guards as often: what is violated at one step need not be at the
 /// other.
-pub(crate) const FINER: usize = 5;
+pub(crate) const FINER_STEP_DIVISOR: usize = 5;
 /// A counterexample violates its specification by more than this at both steps, in metres.
 pub(crate) const MARGIN_M: f64 = 0.01;
 
@@ -55,7 +55,7 @@ pub const SPECIFICATIONS: [(&str, &str); 6] = [
 
 /// The inputs: throttle and brake over each piece, in [0, 1].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Inputs {
+pub struct ChasingCarsInputs {
     /// Throttle over each 5 s.
     pub throttle: [f64; PIECES],
     /// Brake over each 5 s.
@@ -73,7 +73,7 @@ impl Inputs {
 
 /// Positions of the five cars at each of the 10 001 samples.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Motion {
+pub struct CarTrajectories {
     /// y1 to y5.
     pub position: [Vec<f64>; 5],
 }
@@ -100,14 +100,14 @@ impl Mode {
 
 /// The exact step of car 1 under constant inputs: `v(t) = v e^(-bt) - a k1(t)` and `y(t) = y + v k1(t) - a k2(t)`, where
 /// k1 is the integral of e^(-bt) and k2 that of k1.
-struct LeadStep {
+struct LeaderStep {
     decay: f64,
     k1: f64,
     k2: f64,
     throttle: f64,
 }
 
-impl LeadStep {
+impl LeaderStep {
     fn new(throttle: f64, brake: f64) -> Self {
         let x = brake * STEP_S;
         let k1 = if x == 0.0 { STEP_S } else { -(-x).exp_m1() / brake };
@@ -134,8 +134,8 @@ pub fn simulate(inputs: &Inputs) -> Motion {
     let mut record = |y: &[f64; 5]| position.iter_mut().zip(y).for_each(|(track, &y)| track.push(y));
     record(&y);
     for (&throttle, &brake) in inputs.throttle.iter().zip(&inputs.brake) {
-        let lead = LeadStep::new(throttle, brake);
-        for _ in 0..STEPS_A_PIECE {
+        let lead = LeaderStep::new(throttle, brake);
+        for _ in 0..STEPS_PER_PIECE {
             let gaps: [f64; 4] = std::array::from_fn(|i| y[i + 1] - y[i]);
             lead.advance(&mut y[0], &mut v[0]);
             for i in 1..5 {
@@ -199,7 +199,7 @@ pub fn robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCars
 mod tests {
     use super::*;
 
-    fn held(rows: &[(f64, f64, f64)]) -> Inputs {
+    fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> Inputs {
         let at = |piece: usize| rows.iter().rfind(|row| row.0 <= 5.0 * piece as f64).unwrap();
         Inputs { throttle: std::array::from_fn(|p| at(p).1), brake: std::array::from_fn(|p| at(p).2) }
     }

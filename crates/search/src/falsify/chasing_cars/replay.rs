@@ -22,9 +22,9 @@ pub(crate) fn finer_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64
 }
 
 /// The motion, at so many steps for each one of [`STEP_S`].
-fn replayed(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCarsError> {
+fn replay(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCarsError> {
     let step_s = STEP_S / finer as f64;
-    let mut cars: Vec<Car> = (0..5).map(|i| Car { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
+    let mut cars: Vec<ReplayCar> = (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
     let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
     for piece in 0..inputs.throttle.len() {
         for _ in 0..500 * finer {
@@ -49,14 +49,14 @@ fn replayed(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCa
 }
 
 #[derive(Clone)]
-struct Car {
+struct ReplayCar {
     y: f64,
     v: f64,
     mode: &'static str,
 }
 
-impl Car {
-    fn lead(&mut self, throttle: f64, brake: f64, h: f64) {
+impl ReplayCar {
+    fn step_leader(&mut self, throttle: f64, brake: f64, h: f64) {
         let v = self.v;
         if brake < 1e-6 {
             // The limit of the solution below, to second order in the brake.
@@ -69,7 +69,7 @@ impl Car {
         }
     }
 
-    fn follow(&mut self, gap: f64, h: f64) {
+    fn step_follower(&mut self, gap: f64, h: f64) {
         self.mode = match self.mode {
             "keeping" if gap >= 15.0 => "chasing",
             "keeping" if gap <= 5.0 => "braking",

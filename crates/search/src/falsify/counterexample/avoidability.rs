@@ -46,26 +46,26 @@ pub enum AvoidabilityClass {
 
 /// What convex programming says about a failure, and how it could have been avoided where it says that.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Classed {
+pub struct AvoidabilityAnalysis {
     /// The class.
     pub avoidability: Avoidability,
     /// The escape of one that is avoidable: the scenario with a script in place of every vehicle under test, in which nobody touches.
     pub escape: Option<Scenario>,
 }
 
-impl Classed {
+impl AvoidabilityAnalysis {
     /// Asked of contacts alone, where contact is what must not happen.
     #[must_use]
-    pub fn of(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+    pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
         match (specification, verdict.contact) {
-            (Specification::NoContact, Some(_)) => Self::of_contact(scenario),
+            (Specification::NoContact, Some(_)) => Self::classify_contact(scenario),
             _ => Self::default(),
         }
     }
 
     /// Of a scenario that ends in contact.
     #[must_use]
-    pub fn of_contact(scenario: &Scenario) -> Self {
+    pub fn classify_contact(scenario: &Scenario) -> Self {
         let options = AvoidOptions { effort: Effort::Decide, ..AvoidOptions::default() };
         let (avoidability, escape) = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
@@ -82,14 +82,14 @@ impl Classed {
 impl Avoidability {
     /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
     #[must_use]
-    pub fn of(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
-        Classed::of(specification, verdict, scenario).avoidability
+    pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
+        AvoidabilityAnalysis::of(specification, verdict, scenario).avoidability
     }
 
     /// What convex programming says about a scenario that ends in contact.
     #[must_use]
-    pub fn of_contact(scenario: &Scenario) -> Self {
-        Classed::of_contact(scenario).avoidability
+    pub fn classify_contact(scenario: &Scenario) -> Self {
+        AvoidabilityAnalysis::classify_contact(scenario).avoidability
     }
 
     /// The class alone.
@@ -139,16 +139,16 @@ impl Avoidability {
 
 /// Beside the other fields of a counterexample in a summary.
 #[derive(Serialize)]
-struct Written {
+struct AvoidabilityOutput {
     avoidable: Option<bool>,
     avoidability: AvoidabilityClass,
     best_min_gap_m: Option<f64>,
     undecided_because: Option<String>,
 }
 
-/// What is read of [`Written`]: `avoidable` says nothing that the class does not.
+/// What is read of [`AvoidabilityOutput`]: `avoidable` says nothing that the class does not.
 #[derive(Deserialize)]
-struct Read {
+struct AvoidabilityInput {
     #[serde(default)]
     avoidability: AvoidabilityClass,
     #[serde(default)]
@@ -157,7 +157,7 @@ struct Read {
     undecided_because: Option<String>,
 }
 
-impl From<Avoidability> for Written {
+impl From<Avoidability> for AvoidabilityOutput {
     fn from(from: Avoidability) -> Self {
         Self {
             avoidable: from.is_avoidable(),
@@ -168,8 +168,8 @@ impl From<Avoidability> for Written {
     }
 }
 
-impl From<Read> for Avoidability {
-    fn from(read: Read) -> Self {
+impl From<AvoidabilityInput> for Avoidability {
+    fn from(read: AvoidabilityInput) -> Self {
         match (read.avoidability, read.best_min_gap_m) {
             (AvoidabilityClass::Avoidable, Some(best_min_gap_m)) => Self::Avoidable { best_min_gap_m },
             (AvoidabilityClass::Unavoidable, _) => Self::Unavoidable,

@@ -8,22 +8,22 @@ use super::Classed;
 use super::expected::FINER;
 use super::record::Examined;
 use super::shrink::shrink;
-use super::together::all_together;
+use super::batching::run_batched;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
 
 /// Share of the impact speed, or of the violation of a formula, that shrinking must leave.
-const SEVERITY_KEPT: f64 = 0.5;
+const MIN_SEVERITY_SHARE: f64 = 0.5;
 
 /// A scenario, in how many parts of its step, and what came of it; none where it is for the one who asks to find out.
-type Ask<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, SpecificationError>> + 'a;
+type EvaluateFn<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, SpecificationError>> + 'a;
 
 /// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
     campaign: &'a Campaign,
-    terms: &'a Terms,
+    config: &'a Terms,
 }
 
 impl<'a> Examiner<'a> {
@@ -36,32 +36,32 @@ impl<'a> Examiner<'a> {
         &self,
         candidates: &[&FailureCandidate],
     ) -> Result<Vec<Examined>, CampaignError> {
-        let examined = all_together(
+        let examined = run_batched(
             candidates,
             |candidate, ask| self.examine(candidate, ask),
             |asked: &[(Scenario, u32)]| {
                 let asked: Vec<_> = asked.iter().map(|(scenario, parts)| (scenario, *parts)).collect();
-                self.campaign.judging().all_at(&asked)
+                self.campaign.judging().evaluate_all(&asked)
             },
         );
         Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
     /// Classes them: could any driver have avoided it?
-    pub(in crate::falsify) fn class_all(&self, examined: &mut [Examined]) {
+    pub(in crate::falsify) fn classify_all(&self, examined: &mut [Examined]) {
         let specification = &self.terms.specification;
         examined.par_iter_mut().for_each(|one| one.classed = Classed::of(specification, &one.verdict, &one.scenario));
     }
 
-    fn examine(&self, candidate: &FailureCandidate, ask: &mut Ask<'_>) -> Result<Option<Examined>, CampaignError> {
+    fn examine(&self, candidate: &FailureCandidate, ask: &mut EvaluateFn<'_>) -> Result<Option<Examined>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
         let original_verdict = self.judge(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };
         // After a contact that is the impact speed.
-        let most = SEVERITY_KEPT * original_verdict.robustness;
-        let survives = |scenario: &Scenario, ask: &mut Ask<'_>| -> Result<bool, CampaignError> {
+        let most = MIN_SEVERITY_SHARE * original_verdict.robustness;
+        let survives = |scenario: &Scenario, ask: &mut EvaluateFn<'_>| -> Result<bool, CampaignError> {
             let finer = self.kind(&self.judge(scenario, FINER, ask)?);
-            Ok(finer.is_some_and(|finer| finer.same_pair(&kind)))
+            Ok(finer.is_some_and(|finer| finer.is_same_pair(&kind)))
         };
         let dt_fragile = !survives(&original, ask)?;
         let mut values = candidate.values.clone();
@@ -119,7 +119,7 @@ impl<'a> Examiner<'a> {
         FailureKind::of(verdict, &self.terms.specification)
     }
 
-    fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut Ask<'_>) -> Result<RunVerdict, CampaignError> {
+    fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut EvaluateFn<'_>) -> Result<RunVerdict, CampaignError> {
         Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.judging().at(scenario, parts))?)
     }
 
@@ -132,14 +132,14 @@ impl<'a> Examiner<'a> {
 }
 
 /// The scenario as a file holds it.
-fn reread(scenario: &Scenario) -> Result<Scenario, CampaignError> {
+fn write_and_read_back(scenario: &Scenario) -> Result<Scenario, CampaignError> {
     let text = file::to_toml(scenario).map_err(CampaignError::encoding)?;
     file::from_toml(&text, Path::new("counterexample")).map_err(CampaignError::encoding)
 }
 
 fn tidy(spec: &mut ScenarioSpec) {
     /// To a billionth: far below any sensor, and enough to get rid of trailing digits. No negative zero.
-    fn rounded(number: &mut f64) {
+    fn round(number: &mut f64) {
         *number = (*number * 1e9).round() / 1e9 + 0.0;
     }
     for vehicle in &mut spec.vehicles {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Avoidability, AvoidabilityClass};
-use crate::falsify::judging::Judging;
-use crate::falsify::{Contrast, ContrastRecord};
+use crate::falsify::evaluator::Judging;
+use crate::falsify::{FailureCriterion, FailureCriterionRecord};
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::{self, FileError};
@@ -15,7 +15,7 @@ use crumple_world::sim::{NamedController, UnknownController};
 /// The version of the format of recorded verdicts.
 pub(crate) const EXPECTED_VERSION: u32 = 1;
 
-/// The file [`EXPECTED`](file::EXPECTED) beside scenario files: the verdict recorded for each.
+/// The file [`EXPECTED_FILE_NAME`](file::EXPECTED) beside scenario files: the verdict recorded for each.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExpectedFile {
@@ -23,13 +23,13 @@ pub struct ExpectedFile {
     pub version: u32,
     /// One entry a scenario and controller.
     #[serde(default)]
-    pub expected: Vec<Expected>,
+    pub expected: Vec<ExpectedVerdict>,
 }
 
 /// What a run of a scenario file is known to end in.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Expected {
+pub struct ExpectedVerdict {
     /// The scenario file, beside this one.
     pub scenario: String,
     /// The controller under test: a built-in name, or a policy file beside this one.
@@ -71,12 +71,13 @@ pub struct Expected {
     pub undecided_because: Option<String>,
     /// What else must be so for a violation to count, and the robustness to be negative.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub contrast: Option<ContrastRecord>,
+    #[serde(rename = "contrast")]
+    pub failure_criterion: Option<FailureCriterionRecord>,
 }
 
 /// A replay beside what was expected.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Replayed {
+pub struct ReplayResult {
     /// The verdict at the scenario's own step.
     pub nominal: RunVerdict,
     /// The verdict at a tenth of it.
@@ -120,9 +121,9 @@ impl ExpectedFile {
     ///
     /// # Errors
     /// [`FileError`] for a file that cannot be read or parsed.
-    pub fn in_folder(folder: &Path) -> Result<Self, FileError> {
-        let earlier = folder.join(file::EARLIER_EXPECTED);
-        let path = folder.join(file::EXPECTED);
+    pub fn load_from_folder(folder: &Path) -> Result<Self, FileError> {
+        let earlier = folder.join(file::LEGACY_EXPECTED_FILE_NAME);
+        let path = folder.join(file::EXPECTED_FILE_NAME);
         Self::load(if !path.exists() && earlier.exists() { &earlier } else { &path })
     }
 
@@ -142,18 +143,18 @@ impl ExpectedFile {
     }
 }
 
-impl Expected {
+impl ExpectedVerdict {
     /// Replays the scenario from its file, which is in `folder`.
     ///
     /// # Errors
     /// [`ReplayError`] if something it names is not there or does not fit.
-    pub fn replay(&self, folder: &Path) -> Result<Replayed, ReplayError> {
+    pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
         let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
         if let (
-            Some(Contrast::Against(other)),
-            Some(ContrastRecord::Against { policy_sha256, controller_sha256, .. }),
+            Some(FailureCriterion::Against(other)),
+            Some(FailureCriterionRecord::Against { policy_sha256, controller_sha256, .. }),
         ) = (&contrast, &self.contrast)
         {
             self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
@@ -179,7 +180,7 @@ impl Expected {
             && vehicles(&nominal) == recorded
             && on_time
             && finer_agrees != self.dt_fragile;
-        Ok(Replayed { nominal, finer, as_recorded })
+        Ok(ReplayResult { nominal, finer, as_recorded })
     }
 
     /// Finds the controller that the verdict is about. A path starts at `folder`.
@@ -200,7 +201,7 @@ impl Expected {
         controller_sha256: Option<&String>,
     ) -> Result<(), ReplayError> {
         let policy = policy_sha256.map(|expected| (expected, found.policy().map(|policy| policy.digest())));
-        let controller = controller_sha256.map(|expected| (expected, found.identity_beside_name()));
+        let controller = controller_sha256.map(|expected| (expected, found.disambiguating_hash()));
         for (expected, own) in policy.into_iter().chain(controller) {
             let own = own.unwrap_or_default();
             if *expected != own {
@@ -216,19 +217,19 @@ impl Expected {
     }
 }
 
-impl Expected {
+impl ExpectedVerdict {
     /// What happens today in this scenario under this controller; whether it was avoidable is asked again if it fails.
     ///
     /// # Errors
     /// [`ReplayError`] if something it names is not there or does not fit.
-    pub fn renewed(&self, folder: &Path) -> Result<Self, ReplayError> {
+    pub fn renew(&self, folder: &Path) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let found = NamedController::find(&self.controller, folder)?;
         let policy_sha256 = found.policy().map(|policy| policy.digest());
-        let controller_sha256 = found.identity_beside_name();
+        let controller_sha256 = found.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
         let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
-        let contrast = contrast.as_ref().map(Contrast::record);
+        let contrast = contrast.as_ref().map(FailureCriterion::record);
         let mut renewed = Self { policy_sha256, controller_sha256, contrast, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
@@ -251,13 +252,13 @@ impl Expected {
 }
 
 /// Parts of the step in which a failure must survive.
-pub(super) const FINER: u32 = 10;
+pub(super) const FINER_STEP_DIVISOR: u32 = 10;
 
 /// The paths of all scenario files of an index.
 impl ExpectedFile {
     /// The scenario files named, each once.
     #[must_use]
-    pub fn scenarios(&self, folder: &Path) -> Vec<PathBuf> {
+    pub fn scenario_paths(&self, folder: &Path) -> Vec<PathBuf> {
         let mut paths: Vec<PathBuf> = self.expected.iter().map(|expected| folder.join(&expected.scenario)).collect();
         paths.sort();
         paths.dedup();

@@ -9,7 +9,7 @@
 //! Violations of a formula are failures of the formula, whichever vehicles touch meanwhile: shrinking keeps at least half of
 //! the violation, and the list is by how far they go.
 //!
-//! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_WITHIN`] in the unit
+//! Two shrunk failures are *distinct* if they are of different kinds, or lie further apart than [`SAME_FAILURE_DISTANCE`] in the unit
 //! cube of the space (mean difference over the parameters). Of those that are not, the severer one stays.
 //!
 //! Where contact is what must not happen, each distinct failure is then classed by convex programming: [`Avoidability`].
@@ -21,7 +21,7 @@ mod record;
 mod records;
 mod severity;
 mod shrink;
-mod together;
+mod batching;
 
 use std::fmt::Write;
 
@@ -29,10 +29,10 @@ use serde::{Deserialize, Serialize};
 
 pub use avoidability::{Avoidability, AvoidabilityClass, Classed};
 pub(in crate::falsify) use examine::Examiner;
-pub use expected::{Expected, ExpectedFile, ReplayError, Replayed};
-pub use record::SAME_WITHIN;
-pub(in crate::falsify) use record::{Examined, ExaminedRow, Recorder};
-pub use records::{RecordedVerdicts, VerdictRecords};
+pub use expected::{Expected, ExpectedFile, ReplayError, ReplayResult};
+pub use record::SAME_FAILURE_DISTANCE;
+pub(in crate::falsify) use record::{Examined, ExaminedFailureRecord, Recorder};
+pub use records::{RecordedVerdicts, VerdictRecordReader};
 
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -74,7 +74,8 @@ pub struct Counterexample {
     #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal, from 0 to 1: mean over the parameters of the difference, relative to the range.
-    pub departure: f64,
+    #[serde(rename = "departure")]
+    pub distance_from_nominal: f64,
     /// Place among all by likelihood, from 1; equal ones by nearness to nominal. The list itself is by severity: impact
     /// speed, then delta-v, both to whole m/s, then vehicles involved; of violations of a formula, how far they go.
     pub likelihood_rank: usize,
@@ -89,12 +90,12 @@ pub struct Counterexample {
     /// At which of its evaluations, from 1.
     pub found_at: u64,
     /// Parameters that are not nominal, with their values.
-    pub changed: Vec<Changed>,
+    pub changed: Vec<ChangedParameter>,
 }
 
 /// A parameter of a counterexample that is not nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Changed {
+pub struct ChangedParameter {
     /// Name; with the number of the piece for a signal whose pieces differ.
     pub parameter: String,
     /// Value: a number, or a class.
@@ -130,7 +131,7 @@ impl Counterexample {
         if let Some(words) = self.avoidability.describe() {
             writeln!(out, "      {words}")?;
         }
-        let show = |changed: &Changed| {
+        let show = |changed: &ChangedParameter| {
             let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
             format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
         };

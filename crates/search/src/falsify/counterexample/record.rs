@@ -8,20 +8,20 @@ use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile};
 use super::severity::Severity;
 use super::{Avoidability, Changed, Classed, Counterexample};
 use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
-use crate::falsify::{ContrastRecord, Method};
+use crate::falsify::{FailureCriterionRecord, Method};
 use crumple_store::work::Changes;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, file};
 
 /// Two failures of one kind that are nearer than this are one.
-pub const SAME_WITHIN: f64 = 0.1;
+pub const SAME_FAILURE_DISTANCE: f64 = 0.1;
 
 /// Names and texts.
-type Files = Vec<(String, String)>;
+type FileContents = Vec<(String, String)>;
 
 /// A failure after the closer look.
 #[derive(Debug, Clone)]
-pub(in crate::falsify) struct Examined {
+pub(in crate::falsify) struct ExaminedFailure {
     /// What found it, and at which of its evaluations.
     pub(in crate::falsify) method: Method,
     pub(in crate::falsify) number: u64,
@@ -37,13 +37,13 @@ pub(in crate::falsify) struct Examined {
     pub(super) vehicles_involved: usize,
     /// Of a controller that gave no answer: when and why.
     pub(super) because: Option<String>,
-    pub(super) classed: Classed,
+    pub(super) analysis: Classed,
 }
 
 /// The same as a file holds it.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::falsify) struct ExaminedRow {
+pub(in crate::falsify) struct ExaminedFailureRecord {
     method: Method,
     number: u64,
     values: Vec<f64>,
@@ -63,8 +63,8 @@ pub(in crate::falsify) struct ExaminedRow {
     escape: Option<String>,
 }
 
-impl ExaminedRow {
-    pub(in crate::falsify) fn of(one: &Examined) -> Result<Self, CampaignError> {
+impl ExaminedFailureRecord {
+    pub(in crate::falsify) fn from_examined(one: &ExaminedFailure) -> Result<Self, CampaignError> {
         let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::encoding);
         Ok(Self {
             method: one.method.clone(),
@@ -84,18 +84,18 @@ impl ExaminedRow {
     }
 
     /// Who found it, and when.
-    pub(in crate::falsify) fn found_at(&self) -> (Method, u64) {
+    pub(in crate::falsify) fn evaluation_id(&self) -> (Method, u64) {
         (self.method.clone(), self.number)
     }
 
     /// What it was, unless it cannot be that.
-    pub(in crate::falsify) fn read(self, terms: &Terms) -> Result<Examined, String> {
+    pub(in crate::falsify) fn into_examined(self, terms: &Terms) -> Result<ExaminedFailure, String> {
         let place = format!("the failure at evaluation {} of {}", self.number, self.method);
         let scenario =
             |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| format!("{place}: {error}"));
         let kind = |verdict: &RunVerdict| FailureKind::of(verdict, &terms.specification);
         match kind(&self.original_verdict) {
-            Some(found) if terms.space.contains(&self.values) => Ok(Examined {
+            Some(found) if terms.space.contains(&self.values) => Ok(ExaminedFailure {
                 method: self.method,
                 number: self.number,
                 kind: found,
@@ -120,14 +120,14 @@ impl ExaminedRow {
 
 /// Tells failures of a campaign apart and writes them down.
 pub(in crate::falsify) struct Recorder<'a> {
-    pub(in crate::falsify) terms: &'a Terms,
+    pub(in crate::falsify) config: &'a Terms,
 }
 
 impl Recorder<'_> {
     /// Those that are distinct, the severest first. Of equally severe ones those that come first stay.
-    pub(in crate::falsify) fn distinct(&self, mut examined: Vec<Examined>) -> Vec<Examined> {
+    pub(in crate::falsify) fn select_distinct(&self, mut examined: Vec<ExaminedFailure>) -> Vec<ExaminedFailure> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
-        let mut distinct: Vec<Examined> = Vec::new();
+        let mut distinct: Vec<ExaminedFailure> = Vec::new();
         for one in examined {
             if !distinct.iter().any(|known| self.is_same(known, &one)) {
                 distinct.push(one);
@@ -139,7 +139,7 @@ impl Recorder<'_> {
     /// Has distinct failures written down.
     pub(in crate::falsify) fn record_all(
         &self,
-        distinct: &[Examined],
+        distinct: &[ExaminedFailure],
         results: &mut Changes<'_>,
     ) -> Result<Vec<Counterexample>, CampaignError> {
         let (found, files) = self.told(distinct)?;
@@ -150,12 +150,12 @@ impl Recorder<'_> {
     }
 
     /// What is said of distinct failures.
-    pub(in crate::falsify) fn described(&self, distinct: &[Examined]) -> Result<Vec<Counterexample>, CampaignError> {
+    pub(in crate::falsify) fn describe_all(&self, distinct: &[ExaminedFailure]) -> Result<Vec<Counterexample>, CampaignError> {
         Ok(self.told(distinct)?.0)
     }
 
     /// What is said of them, and their files: names and texts.
-    fn told(&self, distinct: &[Examined]) -> Result<(Vec<Counterexample>, Files), CampaignError> {
+    fn counterexamples_and_files(&self, distinct: &[ExaminedFailure]) -> Result<(Vec<Counterexample>, FileContents), CampaignError> {
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
         let (mut found, mut files) = (Vec::new(), Vec::new());
         for (place, one) in (1..).zip(distinct) {
@@ -164,12 +164,12 @@ impl Recorder<'_> {
         rank(&mut found);
         if !found.is_empty() {
             let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
-            files.insert(0, (format!("counterexamples/{}", file::EXPECTED), text));
+            files.insert(0, (format!("counterexamples/{}", file::EXPECTED_FILE_NAME), text));
         }
         Ok((found, files))
     }
 
-    fn severity(&self, one: &Examined) -> Severity {
+    fn severity(&self, one: &ExaminedFailure) -> Severity {
         let goes_by_violation = self.terms.specification != Specification::NoContact || one.verdict.failed.is_some();
         Severity {
             violation: goes_by_violation.then_some(-one.verdict.robustness),
@@ -179,18 +179,18 @@ impl Recorder<'_> {
         }
     }
 
-    fn is_same(&self, one: &Examined, other: &Examined) -> bool {
+    fn is_same_failure(&self, one: &ExaminedFailure, other: &ExaminedFailure) -> bool {
         let Terms { space, cube, .. } = self.terms;
         let (a, b) = (space.point(&one.values), space.point(&other.values));
-        one.kind == other.kind && cube.distance(&a, &b) <= SAME_WITHIN * cube.blocks().len() as f64
+        one.kind == other.kind && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
     }
 
     /// A failure with its files, not yet written.
     fn record(
         &self,
         place: usize,
-        one: &Examined,
-        files: &mut Files,
+        one: &ExaminedFailure,
+        files: &mut FileContents,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
         let kind = one.kind.describe(&one.scenario);
@@ -213,8 +213,8 @@ impl Recorder<'_> {
         };
         let beside = match &terms.contrast {
             None => String::new(),
-            Some(ContrastRecord::Against { controller, .. }) => format!(", and `{controller}` passes it"),
-            Some(ContrastRecord::Metamorphic(relation)) => {
+            Some(FailureCriterionRecord::Against { controller, .. }) => format!(", and `{controller}` passes it"),
+            Some(FailureCriterionRecord::Metamorphic(relation)) => {
                 format!(", which it does not {}", relation.describe_partner())
             }
         };
@@ -261,7 +261,7 @@ impl Recorder<'_> {
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
         let partner_file = match &terms.contrast {
-            Some(ContrastRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
+            Some(FailureCriterionRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
                 let about = format!("{}: {}.", file, relation.describe_partner());
                 (format!("counterexamples/partners/{file}"), partner, about)
             }),
@@ -305,7 +305,7 @@ impl Recorder<'_> {
     }
 
     /// What is not nominal; a signal with one value throughout counts as one.
-    fn changed(&self, values: &[f64]) -> Vec<Changed> {
+    fn changed_parameters(&self, values: &[f64]) -> Vec<Changed> {
         let names = self.terms.space.coordinate_names();
         let mut changed = Vec::new();
         for parameter in self.terms.space.parameters() {
@@ -330,7 +330,7 @@ impl Recorder<'_> {
     }
 }
 
-fn rank(found: &mut [Counterexample]) {
+fn rank_by_likelihood(found: &mut [Counterexample]) {
     let mut order: Vec<usize> = (0..found.len()).collect();
     let key = |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.departure));
     order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
@@ -342,7 +342,7 @@ fn rank(found: &mut [Counterexample]) {
 }
 
 /// With a capital.
-fn sentence(words: &str) -> String {
+fn capitalise(words: &str) -> String {
     let mut letters = words.chars();
     letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
 }

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::{fs, iter};
 
 use super::{Expected, ExpectedFile};
-use crumple_world::scenario::file::{EARLIER_EXPECTED, EXPECTED, FileError};
+use crumple_world::scenario::file::{LEGACY_EXPECTED_FILE_NAME, EXPECTED_FILE_NAME, FileError};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
 #[derive(Debug, Default)]
-pub struct VerdictRecords {
+pub struct VerdictRecordReader {
     folders: HashMap<PathBuf, ExpectedFile>,
 }
 
@@ -22,13 +22,13 @@ pub struct RecordedVerdicts<'a> {
     pub verdicts: Vec<&'a Expected>,
 }
 
-impl VerdictRecords {
+impl VerdictRecordReader {
     /// Returns the verdicts on a scenario file that are recorded in its folder, or in the folder above, as for `originals/`; none of a file
     /// that is in no record.
     ///
     /// # Errors
     /// [`FileError`] for a record that cannot be read or parsed.
-    pub fn about(&mut self, scenario: &Path) -> Result<Option<RecordedVerdicts<'_>>, FileError> {
+    pub fn find(&mut self, scenario: &Path) -> Result<Option<RecordedVerdicts<'_>>, FileError> {
         let Ok(path) = fs::canonicalize(scenario) else { return Ok(None) };
         let folders: Vec<&Path> = path.ancestors().skip(1).take(2).collect();
         for folder in &folders {
@@ -42,9 +42,9 @@ impl VerdictRecords {
         }))
     }
 
-    fn read(&mut self, folder: &Path) -> Result<(), FileError> {
+    fn read_folder(&mut self, folder: &Path) -> Result<(), FileError> {
         if !self.folders.contains_key(folder) {
-            let has_record = [EXPECTED, EARLIER_EXPECTED].iter().any(|name| folder.join(name).is_file());
+            let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME].iter().any(|name| folder.join(name).is_file());
             let read = if has_record { ExpectedFile::in_folder(folder)? } else { ExpectedFile::default() };
             self.folders.insert(folder.to_owned(), read);
         }
@@ -71,7 +71,7 @@ impl<'a> RecordedVerdicts<'a> {
 
     /// Returns the folders in which a controller of a verdict may lie: that of the record, and the current one where a hash tells whether
     /// the controller is the recorded one.
-    pub fn places(&self, verdict: &Expected) -> impl Iterator<Item = PathBuf> {
+    pub fn controller_folders(&self, verdict: &Expected) -> impl Iterator<Item = PathBuf> {
         let current = verdict.policy_sha256.as_ref().or(verdict.controller_sha256.as_ref()).map(|_| PathBuf::new());
         iter::once(self.folder.clone()).chain(current)
     }

@@ -3,13 +3,13 @@
 use crumple_world::scenario::space::{Parameter, Space};
 
 /// Rounds of all moves; the second one profits from the first.
-const ROUNDS: usize = 2;
+const MAX_ROUNDS: usize = 2;
 /// Steps towards nominal, for each coordinate and round: half of the way, and half as much after each that failed.
-const STEPS: usize = 4;
+const NOMINAL_STEPS: usize = 4;
 /// Rounding moves a value by this share of its range at most: a rounder value must not be a far more extreme one.
-const FURTHEST: f64 = 0.1;
+const MAX_ROUNDING_SHARE: f64 = 0.1;
 /// Decimals that are tried when rounding.
-const MOST_DECIMALS: i32 = 3;
+const MAX_DECIMALS: i32 = 3;
 
 /// The smallest values found for which `holds`, starting from `values` for which it does.
 ///
@@ -20,7 +20,7 @@ pub(super) fn shrink(space: &Space, values: &[f64], holds: &mut dyn FnMut(&[f64]
     for _ in 0..ROUNDS {
         let before = current.clone();
         for parameter in space.parameters() {
-            to_nominal(parameter, &mut current, holds);
+            try_nominal(parameter, &mut current, holds);
         }
         for parameter in space.parameters() {
             join_pieces(parameter, &mut current, holds);
@@ -47,7 +47,7 @@ fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f6
     taken
 }
 
-fn to_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn try_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let mut changed = current.clone();
     if let Some(own) = changed.get_mut(parameter.coordinates()) {
         own.copy_from_slice(parameter.nominal());
@@ -75,7 +75,7 @@ fn join_pieces(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn Fn
     }
 }
 
-fn approach(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn move_towards_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     for run in runs(parameter, current) {
         let nominal = parameter.nominal().get(run.start - parameter.coordinates().start).copied().unwrap_or(0.0);
         let mut share = 0.5;
@@ -91,7 +91,7 @@ fn approach(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut
 }
 
 /// The fewest decimals, from tens to thousandths, with which the failure survives; to the nearer side first.
-fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn round_values(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let [low, high] = parameter.range();
     for run in runs(parameter, current) {
         let Some(&value) = current.get(run.start) else { continue };
@@ -99,7 +99,7 @@ fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[
         if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
             continue;
         }
-        'decimals: for decimals in -1..=MOST_DECIMALS {
+        'decimals: for decimals in -1..=MAX_DECIMALS {
             let scale = 10f64.powi(decimals);
             let scaled = value * scale;
             let nearest = scaled.round() / scale;
@@ -110,7 +110,7 @@ fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[
                 }
                 let mut changed = current.clone();
                 changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
-                let near = (rounded - value).abs() <= FURTHEST * (high - low);
+                let near = (rounded - value).abs() <= MAX_ROUNDING_SHARE * (high - low);
                 if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
                     break 'decimals;
                 }
@@ -120,7 +120,7 @@ fn round(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[
 }
 
 /// The coordinates of a parameter, those of neighbouring pieces with one value together.
-fn runs(parameter: &Parameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
+fn equal_runs(parameter: &Parameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
     let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
     for index in parameter.coordinates() {
         match runs.last_mut() {

@@ -10,26 +10,26 @@ use crumple_world::random::Stream;
 use rand::RngExt;
 
 /// Blocks of all vehicles under test until the last small gap, and after it.
-const BLOCKS: [usize; 2] = [36, 3];
+const BLOCK_COUNTS: [usize; 2] = [36, 3];
 /// The trust region at first, at most, and where an ascent ends, in m/s².
-const REGION_MPS2: [f64; 3] = [2.0, 6.0, 0.03];
+const TRUST_REGION_MPS2: [f64; 3] = [2.0, 6.0, 0.03];
 /// Growth of the trust region after a success and after a failure.
-const REGION_FACTORS: [f64; 2] = [1.6, 0.45];
+const TRUST_REGION_FACTORS: [f64; 2] = [1.6, 0.45];
 /// Shares of a step that are tried.
-const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
+const STEP_SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
 /// A gap that is larger than the smallest one by less than this is one to keep an eye on, in metres.
-const NEAR_M: f64 = 1.0;
+const NEAR_GAP_M: f64 = 1.0;
 /// Time after the last of those gaps that still matters, in seconds.
-const AFTER_S: f64 = 0.5;
+const TAIL_S: f64 = 0.5;
 /// A step that gains less is a failure, in metres.
-const WORTH_M: f64 = 1e-4;
+const MIN_GAIN_M: f64 = 1e-4;
 /// Cost of the square of a change, so that changes without an effect are not made.
-const IDLE_WEIGHT: f64 = 1e-4;
+const REGULARIZATION_WEIGHT: f64 = 1e-4;
 
 /// An ascent from one profile.
 pub(super) struct Ascent {
-    pub(super) at: SimulatedProfile,
-    region_mps2: f64,
+    pub(super) current: SimulatedProfile,
+    trust_region_mps2: f64,
 }
 
 impl Ascent {
@@ -60,11 +60,11 @@ impl Ascent {
     }
 
     /// Simulated shares of the step that a linear program proposes.
-    fn proposals(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
+    fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
         let Some(Some(here)) = plant.gaps(std::slice::from_ref(&self.at.profile)).pop() else { return Vec::new() };
         let blocks = self.blocks(plant, &here, stream);
         let nudge_mps2 = (0.5 * self.region_mps2).clamp(0.05, 1.0);
-        let by_mps2: Vec<f64> = blocks.iter().map(|block| self.towards_the_middle(plant, block, nudge_mps2)).collect();
+        let by_mps2: Vec<f64> = blocks.iter().map(|block| self.signed_nudge_mps2(plant, block, nudge_mps2)).collect();
         let nudged: Vec<Profile> =
             blocks.iter().zip(&by_mps2).map(|(block, &by)| plant.moved(&self.at.profile, block, by)).collect();
         let nudged = plant.gaps(&nudged);
@@ -79,13 +79,13 @@ impl Ascent {
 
     /// Blocks of equal length until the last small gap, at a random phase, and few after it.
     fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
-        let near_m = self.at.margin_m.max(0.0) + NEAR_M;
-        let is_near = |sample: &usize| here.of_sample(*sample).any(|gap_m| gap_m < near_m);
+        let near_m = self.at.margin_m.max(0.0) + NEAR_GAP_M;
+        let is_near = |sample: &usize| here.gaps_at_sample(*sample).any(|gap_m| gap_m < near_m);
         let last = (0..here.samples).rev().find(is_near).unwrap_or(0);
-        let until_s = last as f64 * plant.sample_s() + AFTER_S;
+        let until_s = last as f64 * plant.sample_interval_s() + AFTER_S;
         let all = plant.cells();
         let until = ((until_s / plant.cell_s()).ceil() as usize).clamp(1, all);
-        let [before, after] = BLOCKS.map(|count| count.div_ceil(plant.egos()));
+        let [before, after] = BLOCK_COUNTS.map(|count| count.div_ceil(plant.egos()));
         let phase: f64 = stream.random();
         let length = until as f64 / before as f64;
         let early = (0..=before).map(|block| ((block as f64 - phase) * length).round().max(0.0) as usize);
@@ -103,7 +103,7 @@ impl Ascent {
     }
 
     /// A nudge that the limits of no cell undo, if there is one.
-    fn towards_the_middle(&self, plant: &Plant<'_>, block: &CellBlock, nudge_mps2: f64) -> f64 {
+    fn signed_nudge_mps2(&self, plant: &Plant<'_>, block: &CellBlock, nudge_mps2: f64) -> f64 {
         let [low, high] = plant.limits_mps2(block.ego);
         let [least, most] = self.range_mps2(block);
         if high - most >= least - low {
@@ -171,7 +171,7 @@ impl Ascent {
 
 impl SampledGaps {
     /// The gaps of all pairs at a sample.
-    fn of_sample(&self, sample: usize) -> impl Iterator<Item = f64> {
+    fn gaps_at_sample(&self, sample: usize) -> impl Iterator<Item = f64> {
         self.gap_m.iter().skip(sample).step_by(self.samples.max(1)).copied()
     }
 }

@@ -12,29 +12,29 @@ mod shapes;
 use self::linear::Ascent;
 use self::plant::{Plant, Profile, SimulatedProfile};
 use self::shapes::Shape;
-use super::witness::{Escape, FoundBy};
+use super::escape::{Escape, FoundBy};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
 
 /// Shapes that are changed: how many, and how many rounds of changes each gets, cycle after cycle.
 const CYCLES: [[usize; 2]; 3] = [[8, 10], [4, 24], [2, 40]];
 /// Random changes in a round.
-const CHANGES: usize = 25;
+const CHANGES_PER_ROUND: usize = 25;
 /// Two of the first shapes differ by at least this much on average, in m/s².
-const APART_MPS2: f64 = 0.5;
+const MIN_DISTANCE_MPS2: f64 = 0.5;
 /// Ascents: how many, and how many steps each makes, cycle after cycle.
 const ASCENTS: [[usize; 2]; 2] = [[3, 5], [2, 15]];
 /// Cycles of a search that only has to decide.
 const DECIDING_CYCLES: usize = 2;
 /// A margin with which such a search ends, in metres: the replay at a smaller step may have a smaller one.
-const DECIDED_M: f64 = 0.05;
+const DECISIVE_MARGIN_M: f64 = 0.05;
 /// A margin that misses the bound by less than this is not improved, in metres.
 const NEAR_BOUND_M: f64 = 1e-3;
 
 /// Extent of the simulations where the programs do not model every driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-pub enum Effort {
+pub enum SearchEffort {
     /// Until some profile has no collision, and little more.
     Decide,
     /// Until the smallest gap no longer grows.
@@ -52,7 +52,7 @@ pub(super) fn largest_gap(
     cell: usize,
     program_mps2: Option<&[Vec<f64>]>,
     bound_m: f64,
-    effort: Effort,
+    effort: SearchEffort,
 ) -> Option<Escape> {
     let plant = Plant::new(scenario, cell)?;
     let bound_m = initial_gap_m(scenario).min(bound_m);
@@ -79,20 +79,20 @@ struct GapSearch<'s> {
     plant: Plant<'s>,
     stream: Stream,
     /// A margin that needs no improvement, in metres.
-    enough_m: f64,
+    sufficient_margin_m: f64,
 }
 
 impl GapSearch<'_> {
     /// Returns candidates, the best one first.
-    fn best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: Effort) -> Vec<SimulatedProfile> {
+    fn find_best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: SearchEffort) -> Vec<SimulatedProfile> {
         let (enough_m, cycles) = match effort {
-            Effort::Decide => (DECIDED_M.min(self.enough_m), DECIDING_CYCLES),
-            Effort::Optimise => (self.enough_m, CYCLES.len()),
+            SearchEffort::Decide => (DECISIVE_MARGIN_M.min(self.enough_m), DECIDING_CYCLES),
+            SearchEffort::Optimise => (self.enough_m, CYCLES.len()),
         };
         let program = program_mps2.map(|each_step_mps2| self.plant.profile(each_step_mps2));
         let mut best = self.plant.try_out(program.into_iter().collect());
         if best.iter().all(|at| at.margin_m < enough_m) {
-            best.extend(self.changed_shapes(enough_m, cycles).into_iter().map(|(_, at)| at));
+            best.extend(self.improve_shapes(enough_m, cycles).into_iter().map(|(_, at)| at));
         }
         sort(&mut best);
         for [ascents, steps] in ASCENTS {
@@ -111,12 +111,12 @@ impl GapSearch<'_> {
     }
 
     /// The best simple shapes that differ from each other, after random changes.
-    fn changed_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(Shape, SimulatedProfile)> {
+    fn improve_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(Shape, SimulatedProfile)> {
         let mut tried = self.try_out(shapes::shapes(&self.plant));
         tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
         let mut best: Vec<(Shape, SimulatedProfile)> = Vec::new();
         for (shape, at) in tried {
-            let is_new = best.iter().all(|(_, other)| distance_mps2(&other.profile, &at.profile) > APART_MPS2);
+            let is_new = best.iter().all(|(_, other)| distance_mps2(&other.profile, &at.profile) > MIN_DISTANCE_MPS2);
             if is_new && best.len() < CYCLES[0][0] {
                 best.push((shape, at));
             }
@@ -128,7 +128,7 @@ impl GapSearch<'_> {
                     break;
                 }
                 let Some((shape, _)) = best.get(index) else { continue };
-                let changes = (0..CHANGES).map(|_| shape.changed(&self.plant, &mut self.stream)).collect();
+                let changes = (0..CHANGES_PER_ROUND).map(|_| shape.changed(&self.plant, &mut self.stream)).collect();
                 let better =
                     self.try_out(changes).into_iter().max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
                 if let (Some(current), Some(better)) = (best.get_mut(index), better)
@@ -142,13 +142,13 @@ impl GapSearch<'_> {
         best
     }
 
-    fn try_out(&mut self, shapes: Vec<Shape>) -> Vec<(Shape, SimulatedProfile)> {
+    fn simulate_shapes(&mut self, shapes: Vec<Shape>) -> Vec<(Shape, SimulatedProfile)> {
         let profiles = shapes.iter().map(|shape| shape.profile(&self.plant)).collect();
         let tried = self.plant.try_out(profiles);
         shapes.into_iter().zip(tried).collect()
     }
 
-    fn ascended(&mut self, from: SimulatedProfile, steps: usize, enough_m: f64) -> SimulatedProfile {
+    fn ascend(&mut self, from: SimulatedProfile, steps: usize, enough_m: f64) -> SimulatedProfile {
         let mut ascent = Ascent::new(from);
         for _ in 0..steps {
             if ascent.is_over() || ascent.at.margin_m >= enough_m {
@@ -161,7 +161,7 @@ impl GapSearch<'_> {
 }
 
 /// Sorts by margin, the largest first; equals keep their order.
-fn sort(candidates: &mut [SimulatedProfile]) {
+fn sort_by_margin(candidates: &mut [SimulatedProfile]) {
     candidates.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
 }
 

@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use super::super::bench::Trial;
-use super::super::situation::delay_steps;
-use super::super::witness::{by_script, follow, pieces};
+use super::super::profile_simulator::ProfileOutcome;
+use super::super::avoidance_problem::delay_steps;
+use super::super::escape::{by_script, follow, pieces};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, Simulated, simulate_batch};
 
@@ -53,7 +53,7 @@ pub(super) struct Plant<'s> {
 }
 
 /// Longest time between two samples of a gap, in seconds: the gap bends by a centimetre in between.
-const SAMPLE_S: f64 = 0.1;
+const MAX_SAMPLE_INTERVAL_S: f64 = 0.1;
 
 impl<'s> Plant<'s> {
     /// None if the vehicles under test do not follow each other, or one of them answers with a lag or a limited jerk.
@@ -81,11 +81,11 @@ impl<'s> Plant<'s> {
         self.egos.first().map_or(0, |ego| ego.index)
     }
 
-    pub(super) fn egos(&self) -> usize {
+    pub(super) fn ego_count(&self) -> usize {
         self.egos.len()
     }
 
-    pub(super) fn cells(&self) -> usize {
+    pub(super) fn cell_count(&self) -> usize {
         self.scenario.steps().div_ceil(self.cell)
     }
 
@@ -98,7 +98,7 @@ impl<'s> Plant<'s> {
     }
 
     /// The speed of a vehicle under test at the start, in m/s.
-    pub(super) fn first_speed_mps(&self, ego: usize) -> f64 {
+    pub(super) fn initial_speed_mps(&self, ego: usize) -> f64 {
         let vehicle = self.egos.get(ego).and_then(|ego| self.scenario.vehicles().get(ego.index));
         vehicle.map_or(0.0, |vehicle| vehicle.speed_mps)
     }
@@ -114,13 +114,13 @@ impl<'s> Plant<'s> {
     }
 
     /// The profile of accelerations that are given for each step: the mean of each cell.
-    pub(super) fn profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
+    pub(super) fn cell_profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
         let mean = |steps: &[f64]| steps.iter().sum::<f64>() / steps.len() as f64;
         each_step_mps2.iter().map(|each| each.chunks(self.cell).map(mean).collect()).collect()
     }
 
     /// The acceleration of each vehicle under test in each step, in m/s².
-    pub(super) fn each_step_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
+    pub(super) fn step_accelerations_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
         let steps = self.scenario.steps();
         let of = |(ego, cells): (&EgoLimits, &Vec<f64>)| {
             let held = cells.iter().flat_map(|&held| std::iter::repeat_n(held, self.cell)).take(steps);
@@ -132,7 +132,7 @@ impl<'s> Plant<'s> {
     }
 
     /// The profile with the cells of a block changed, within the limits.
-    pub(super) fn moved(&self, profile: &Profile, block: &CellBlock, by_mps2: f64) -> Profile {
+    pub(super) fn with_block_changed(&self, profile: &Profile, block: &CellBlock, by_mps2: f64) -> Profile {
         let [low, high] = self.limits_mps2(block.ego);
         let mut moved = profile.clone();
         let cells = moved.get_mut(block.ego).and_then(|cells| cells.get_mut(block.cells.clone()));
@@ -141,8 +141,8 @@ impl<'s> Plant<'s> {
     }
 
     /// Simulates profiles; one that makes no valid scenario has an infinitely negative margin.
-    pub(super) fn try_out(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
-        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| Trial::of(&simulated).margin_m);
+    pub(super) fn simulate_profiles(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
+        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| ProfileOutcome::of(&simulated).margin_m);
         let tried = |(profile, margin_m): (Profile, Option<f64>)| SimulatedProfile {
             profile,
             margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),
@@ -151,7 +151,7 @@ impl<'s> Plant<'s> {
     }
 
     /// Simulates profiles and samples the gaps between all vehicles.
-    pub(super) fn gaps(&mut self, profiles: &[Profile]) -> Vec<Option<SampledGaps>> {
+    pub(super) fn simulate_gaps(&mut self, profiles: &[Profile]) -> Vec<Option<SampledGaps>> {
         let stride = self.sample_steps();
         let samples = self.scenario.steps() / stride + 1;
         let vehicles = self.scenario.vehicles().len();
@@ -167,12 +167,12 @@ impl<'s> Plant<'s> {
     }
 
     /// Time between two samples of [`Plant::gaps`], in seconds.
-    pub(super) fn sample_s(&self) -> f64 {
+    pub(super) fn sample_interval_s(&self) -> f64 {
         self.sample_steps() as f64 * self.scenario.spec().step_s
     }
 
     fn sample_steps(&self) -> usize {
-        ((SAMPLE_S / self.scenario.spec().step_s) as usize).max(1)
+        ((MAX_SAMPLE_INTERVAL_S / self.scenario.spec().step_s) as usize).max(1)
     }
 
     fn simulate<R: Send>(
@@ -191,7 +191,7 @@ impl<'s> Plant<'s> {
         is_valid.into_iter().map(|is_valid| if is_valid { results.next() } else { None }).collect()
     }
 
-    fn scripted(&self, profile: &Profile) -> Option<Scenario> {
+    fn with_scripts(&self, profile: &Profile) -> Option<Scenario> {
         let step_s = self.scenario.spec().step_s;
         let scripts = self.each_step_mps2(profile);
         let scripted = self.scenario.edited(|spec| {

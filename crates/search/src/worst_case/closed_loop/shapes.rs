@@ -9,57 +9,57 @@ use super::plant::{Plant, Profile};
 use crumple_world::random::Stream;
 
 /// Times at which a simple shape begins to change its speed, in seconds.
-const BEGINS_S: [f64; 5] = [0.0, 0.5, 1.0, 2.0, 4.0];
+const ONSETS_S: [f64; 5] = [0.0, 0.5, 1.0, 2.0, 4.0];
 /// Shares of the hardest braking with which it does.
-const BRAKES: [f64; 6] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.15];
+const BRAKE_SHARES: [f64; 6] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.15];
 /// Shares of its first speed that it reaches.
-const SPEEDS: [f64; 8] = [0.0, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85];
+const SPEED_SHARES: [f64; 8] = [0.0, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85];
 /// Shares of that speed that it has at the end of the scenario; it stands at half the time if negative.
-const LAST_SPEEDS: [f64; 4] = [1.0, 0.5, 0.0, -1.0];
+const FINAL_SPEED_SHARES: [f64; 4] = [1.0, 0.5, 0.0, -1.0];
 /// Shares of the first speed that it reaches by accelerating.
-const HIGHER_SPEEDS: [f64; 3] = [1.05, 1.15, 1.3];
+const HIGHER_SPEED_SHARES: [f64; 3] = [1.05, 1.15, 1.3];
 /// Of brakings with an acceleration in between: the shares of the first speed after the first braking, the share that the
 /// acceleration adds, and shares of the hardest braking.
-const HALTS: [f64; 4] = [0.75, 0.5, 0.25, 0.1];
-const ADDED: [f64; 2] = [0.1, 0.25];
-const LAST_BRAKES: [f64; 3] = [1.0, 0.5, 0.1];
+const INTERMEDIATE_SPEED_SHARES: [f64; 4] = [0.75, 0.5, 0.25, 0.1];
+const ADDED_SPEED_SHARES: [f64; 2] = [0.1, 0.25];
+const FINAL_BRAKE_SHARES: [f64; 3] = [1.0, 0.5, 0.1];
 /// Most knots of a vehicle.
 const MAX_KNOTS: usize = 12;
 
 /// Knots of each vehicle under test: a time in seconds and the speed then, in m/s. Linear between them.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Shape(Vec<Vec<(f64, f64)>>);
+pub(super) struct SpeedShape(Vec<Vec<(f64, f64)>>);
 
 /// Simple shapes: brakings to a lower speed that is kept, left slowly or left at once, accelerations, and two brakings with
 /// an acceleration in between, which make a follower slow down before the last one.
-pub(super) fn shapes(plant: &Plant<'_>) -> Vec<Shape> {
+pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
     let duration_s = plant.duration_s();
     let mut all = vec![vec![]];
-    for begins_s in BEGINS_S {
-        for (brake, speed) in BRAKES.into_iter().flat_map(|brake| SPEEDS.map(|speed| (brake, speed))) {
-            let slows = [Leg::Hold { until_s: begins_s }, Leg::Change { to: speed, share: brake }];
-            for last in LAST_SPEEDS.into_iter().take(if speed == 0.0 { 1 } else { LAST_SPEEDS.len() }) {
+    for begins_s in ONSETS_S {
+        for (brake, speed) in BRAKES.into_iter().flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed))) {
+            let slows = [ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: brake }];
+            for last in FINAL_SPEED_SHARES.into_iter().take(if speed == 0.0 { 1 } else { FINAL_SPEED_SHARES.len() }) {
                 let (until_s, to) = if last < 0.0 { (0.5 * duration_s, 0.0) } else { (duration_s, last * speed) };
-                all.push(slows.into_iter().chain([Leg::Reach { until_s, to }]).collect());
+                all.push(slows.into_iter().chain([ShapeSegment::Reach { until_s, to }]).collect());
             }
         }
-        for speed in HIGHER_SPEEDS {
-            all.push(vec![Leg::Hold { until_s: begins_s }, Leg::Change { to: speed, share: 1.0 }]);
+        for speed in HIGHER_SPEED_SHARES {
+            all.push(vec![ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: 1.0 }]);
         }
     }
-    for (halt, added) in HALTS.into_iter().flat_map(|halt| ADDED.map(|added| (halt, added))) {
-        for (first, last) in BRAKES.into_iter().take(4).flat_map(|first| LAST_BRAKES.map(|last| (first, last))) {
+    for (halt, added) in INTERMEDIATE_SPEED_SHARES.into_iter().flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added))) {
+        for (first, last) in BRAKES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last))) {
             let [slows, speeds_up, stops] =
-                [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| Leg::Change { to, share });
+                [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| ShapeSegment::Change { to, share });
             all.push(vec![slows, speeds_up, stops]);
         }
     }
-    all.into_iter().map(|legs| Shape::new(plant, &legs)).collect()
+    all.into_iter().map(|legs| SpeedShape::new(plant, &legs)).collect()
 }
 
 /// Part of a simple shape. Speeds are shares of the first speed.
 #[derive(Debug, Clone, Copy)]
-enum Leg {
+enum ShapeSegment {
     /// Keeps its speed until a time.
     Hold { until_s: f64 },
     /// Changes its speed with a share of the hardest braking or the largest acceleration.
@@ -68,21 +68,21 @@ enum Leg {
     Reach { until_s: f64, to: f64 },
 }
 
-impl Shape {
-    fn new(plant: &Plant<'_>, legs: &[Leg]) -> Self {
+impl SpeedShape {
+    fn new(plant: &Plant<'_>, legs: &[ShapeSegment]) -> Self {
         let of_ego = |ego: usize| {
-            let ([low, high], first_mps) = (plant.limits_mps2(ego), plant.first_speed_mps(ego));
+            let ([low, high], first_mps) = (plant.limits_mps2(ego), plant.initial_speed_mps(ego));
             let mut knots = vec![(0.0, first_mps)];
             let (mut now_s, mut speed_mps) = (0.0_f64, first_mps);
             for leg in legs {
                 (now_s, speed_mps) = match *leg {
-                    Leg::Hold { until_s } => (now_s.max(until_s), speed_mps),
-                    Leg::Change { to, share } => {
+                    ShapeSegment::Hold { until_s } => (now_s.max(until_s), speed_mps),
+                    ShapeSegment::Change { to, share } => {
                         let to_mps = to * first_mps;
                         let most_mps2 = share * if to_mps < speed_mps { -low } else { high };
                         (now_s + (to_mps - speed_mps).abs() / most_mps2.max(1e-3), to_mps)
                     }
-                    Leg::Reach { until_s, to } => (now_s.max(until_s), to * first_mps),
+                    ShapeSegment::Reach { until_s, to } => (now_s.max(until_s), to * first_mps),
                 };
                 knots.push((now_s, speed_mps));
             }
@@ -95,7 +95,7 @@ impl Shape {
     pub(super) fn profile(&self, plant: &Plant<'_>) -> Profile {
         let of_ego = |(ego, knots): (usize, &Vec<(f64, f64)>)| {
             let ([low, high], cell_s) = (plant.limits_mps2(ego), plant.cell_s());
-            let mut speed_mps = plant.first_speed_mps(ego);
+            let mut speed_mps = plant.initial_speed_mps(ego);
             let held = |cell: usize| {
                 let held_mps2 = match cell < plant.dead_cells(ego) {
                     true => 0.0,
@@ -110,7 +110,7 @@ impl Shape {
     }
 
     /// The shape with one to three random changes.
-    pub(super) fn changed(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
+    pub(super) fn mutate(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
         let mut changed = self.clone();
         for _ in 0..stream.random_range(1..=3) {
             let ego = stream.random_range(0..plant.egos().max(1));
@@ -135,7 +135,7 @@ fn speed_at(knots: &[(f64, f64)], time_s: f64) -> f64 {
 }
 
 /// Changes a speed, a time, all later times, all speeds, or the number of knots.
-fn change(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Stream) {
+fn mutate_knots(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Stream) {
     let normal: f64 = StandardNormal.sample(stream);
     // Small changes are as frequent as large ones.
     let by = 10.0_f64.powf(stream.random_range(-2.0..0.8)) * normal;

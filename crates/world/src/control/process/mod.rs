@@ -16,32 +16,32 @@ use serde::Serialize;
 
 pub(crate) use self::driver::ProcessDriver;
 #[cfg(feature = "process")]
-pub use self::fmu::fmu_host;
-pub use self::fmu::{FmuProblem, Wiring};
-pub use self::permission::{NamedBy, StartPermission, StartRefused, allow_external, is_external_allowed};
+pub use self::fmu::find_fmu_host;
+pub use self::fmu::{FmuProblem, FmuConfig};
+pub use self::permission::{NameOrigin, StartPermission, StartRefusal, allow_external, is_external_allowed};
 use super::{ControllerFailure, Ego, InvalidMapping, Mapping};
-use crate::process::protocol::{self, Greeting, Hello, Task, VERSION, Vehicle};
-use crate::process::{ProcessFailure, ProcessProblem, Program, shortened};
+use crate::process::protocol::{self, HelloReply, HelloRequest, HelloParams, VERSION, VehicleParams};
+use crate::process::{ProcessFailure, ProcessProblem, ChildProcess, escaped_excerpt};
 use crate::random::{self, Purpose};
 use crumple_core::digest::{Sha256, sha256};
-use crumple_core::quoted::ShellWord;
+use crumple_core::quoting::ShellWord;
 
 /// Most words of a command, files that an identity stands for, and bytes of one of these.
-const MOST_WORDS: usize = 1000;
-const MOST_FILES: usize = 1000;
-const MOST_FILE_BYTES: u64 = 1 << 30;
+const MAX_COMMAND_WORDS: usize = 1000;
+const MAX_FILES: usize = 1000;
+const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// Longest time limit, in seconds.
-const MOST_WITHIN_S: f64 = 3600.0;
+const MAX_TIMEOUT_S: f64 = 3600.0;
 
 /// Starts that may fail one after the other, and starts in all, before none is tried any more.
-const MOST_FAILED_STARTS: u32 = 3;
-const MOST_STARTS: u32 = 10_000;
+const MAX_FAILED_STARTS: u32 = 3;
+const MAX_STARTS: u32 = 10_000;
 
 /// Of the runs of each vehicle, those in which a process that says it is deterministic is asked everything twice: so many at the
 /// start, and of each two later doublings of their number about so many.
-const CHECKED_FIRST: u64 = 2;
-const CHECKED_OF_TWO_DOUBLINGS: u64 = 3;
+const ALWAYS_CHECKED_RUNS: u64 = 2;
+const CHECKED_RUNS_PER_TWO_DOUBLINGS: u64 = 3;
 
 /// A command that drives, what it sees, and what its answer means.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +77,7 @@ impl ProcessSetup {
             file: None,
             files: Vec::new(),
             deterministic: true,
-            mapping: Mapping::plain(),
+            mapping: Mapping::unscaled(),
             start_within_s: 30.0,
             answer_within_s: 1.0,
         }
@@ -85,24 +85,24 @@ impl ProcessSetup {
 
     fn check(&self) -> Result<(), InvalidMapping> {
         let words = &self.command;
-        if !(1..=MOST_WORDS).contains(&words.len()) || words.first().is_none_or(String::is_empty) {
+        if !(1..=MAX_COMMAND_WORDS).contains(&words.len()) || words.first().is_none_or(String::is_empty) {
             return Err(InvalidMapping::new(
                 "command",
-                format!("must be a program and at most {MOST_WORDS} words in all"),
+                format!("must be a program and at most {MAX_COMMAND_WORDS} words in all"),
             ));
         }
         if words.iter().any(|word| word.contains('\0')) {
             return Err(InvalidMapping::new("command", "a word of a command holds no NUL"));
         }
-        if self.files.len() > MOST_FILES {
+        if self.files.len() > MAX_FILES {
             return Err(InvalidMapping::new(
                 "files",
-                format!("must be at most {MOST_FILES}, found {}", self.files.len()),
+                format!("must be at most {MAX_FILES}, found {}", self.files.len()),
             ));
         }
         for (field, within_s) in [("start_within_s", self.start_within_s), ("answer_within_s", self.answer_within_s)] {
-            if !(within_s > 0.0 && within_s <= MOST_WITHIN_S) {
-                let problem = format!("must be above 0 and at most {MOST_WITHIN_S}, found {within_s}");
+            if !(within_s > 0.0 && within_s <= MAX_TIMEOUT_S) {
+                let problem = format!("must be above 0 and at most {MAX_TIMEOUT_S}, found {within_s}");
                 return Err(InvalidMapping::new(field, problem));
             }
         }
@@ -129,43 +129,43 @@ pub struct ProcessController {
     setup: ProcessSetup,
     files: Vec<ListedFile>,
     identity: Option<String>,
-    state: Mutex<State>,
+    state: Mutex<ProcessPoolState>,
 }
 
 #[derive(Default)]
-struct State {
-    idle: Vec<Greeted>,
+struct ProcessPoolState {
+    idle: Vec<ConnectedProcess>,
     /// What the first one said of itself.
-    greeting: Option<Greeting>,
+    greeting: Option<HelloReply>,
     /// Why none is started any more.
-    refused: Option<ControllerFailure>,
+    refusal: Option<ControllerFailure>,
     starts: u32,
-    failed_in_a_row: u32,
+    consecutive_failures: u32,
     /// Runs so far, by vehicle.
-    runs: Vec<(usize, RunsOfVehicle)>,
+    runs: Vec<(usize, VehicleRunCounts)>,
 }
 
 /// Runs of a vehicle, by whether the process that drives had driven others before: what a reset forgets to clear shows in these alone.
 #[derive(Default)]
-struct RunsOfVehicle {
+struct VehicleRunCounts {
     fresh: u64,
     reused: u64,
 }
 
 /// A process that has introduced itself.
-struct Greeted {
-    program: Program,
+struct ConnectedProcess {
+    program: ChildProcess,
     hello: Arc<[u8]>,
-    greeting: Greeting,
+    greeting: HelloReply,
     /// Questions it was asked since it introduced itself first.
-    asked: u64,
+    question_count: u64,
 }
 
-impl Greeted {
+impl ConnectedProcess {
     /// The number of the next question.
     fn next_id(&mut self) -> u64 {
-        self.asked += 1;
-        self.asked
+        self.question_count += 1;
+        self.question_count
     }
 }
 
@@ -186,7 +186,7 @@ impl ProcessController {
         setup.check()?;
         // Said or not, it is the same controller.
         setup.mapping.output.answer = Some(0);
-        let digest = |(index, path): (usize, &String)| match digest(&setup.folder.join(path)) {
+        let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
             Ok(sha256) => Ok(ListedFile { path: path.clone(), sha256 }),
             Err(error) => Err(InvalidMapping::new(format!("files[{index}]"), format!("{path}: {error}"))),
         };
@@ -231,42 +231,42 @@ impl ProcessController {
     /// Why it is refused, if it is: it contradicted itself, or cannot be started any more. All runs from then on fail, whatever they are.
     #[must_use]
     pub fn refusal(&self) -> Option<ControllerFailure> {
-        self.state().refused.clone()
+        self.state().refusal.clone()
     }
 
     /// Whether one process can answer for many runs at once. Starts one if that is not known yet.
-    pub(crate) fn takes_batches(&self, ego: &Ego) -> bool {
+    pub(crate) fn supports_batches(&self, ego: &Ego) -> bool {
         if let Some(greeting) = &self.state().greeting {
             return greeting.batch;
         }
-        self.take(&self.hello(ego)).is_ok_and(|greeted| {
+        self.acquire(&self.hello(ego)).is_ok_and(|greeted| {
             let batch = greeted.greeting.batch;
-            self.give_back(greeted);
+            self.release(greeted);
             batch
         })
     }
 
     /// A panic elsewhere leaves nothing half done here.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, ProcessPoolState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn answer_within(&self) -> Duration {
+    fn answer_timeout(&self) -> Duration {
         Duration::from_secs_f64(self.setup.answer_within_s)
     }
 
     /// What a process is told of a vehicle.
     fn hello(&self, ego: &Ego) -> Arc<[u8]> {
         let Mapping { history, newest_first, inputs, output, .. } = &self.setup.mapping;
-        let hello = Task {
-            vehicle: Vehicle {
+        let hello = HelloParams {
+            vehicle: VehicleParams {
                 index: ego.vehicle,
                 max_brake_mps2: ego.max_brake_mps2,
                 max_accel_mps2: ego.max_accel_mps2,
                 length_m: ego.length_m,
             },
             step_s: ego.step_s,
-            inputs: inputs.iter().map(super::Input::name).collect(),
+            inputs: inputs.iter().map(super::InputMapping::name).collect(),
             history: *history,
             newest_first: *newest_first,
             low_mps2: output.low_mps2,
@@ -274,15 +274,15 @@ impl ProcessController {
         };
         let mut line = Vec::new();
         // Numbers and names can always be written; what could not would be refused by the process.
-        let _ = protocol::line(&mut line, &Hello { crumple: VERSION, hello });
+        let _ = protocol::write_line(&mut line, &HelloRequest { crumple: VERSION, hello });
         line.into()
     }
 
     /// A process that knows of the vehicle: one that waits, or else a new one.
-    fn take(&self, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+    fn acquire(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
         let waiting = {
             let mut state = self.state();
-            if let Some(refused) = &state.refused {
+            if let Some(refused) = &state.refusal {
                 return Err(refused.clone());
             }
             let known = state.idle.iter().position(|greeted| greeted.hello == *hello);
@@ -290,37 +290,37 @@ impl ProcessController {
         };
         match waiting {
             Some(greeted) if greeted.hello == *hello => Ok(greeted),
-            Some(other) => self.greet(other.program, other.asked, hello),
+            Some(other) => self.greet(other.program, other.question_count, hello),
             None => self.start(hello),
         }
     }
 
     /// A new process.
-    fn start(&self, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+    fn start(&self, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
         {
             let mut state = self.state();
-            if state.starts == MOST_STARTS {
+            if state.starts == MAX_STARTS {
                 drop(state);
-                return Err(self.refuse(self.failure(ProcessProblem::TooManyStarts { starts: MOST_STARTS }, None)));
+                return Err(self.refuse(self.end_with_failure(ProcessProblem::TooManyStarts { starts: MAX_STARTS }, None)));
             }
             state.starts += 1;
         }
         let changed =
-            |file: &&ListedFile| !digest(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256);
+            |file: &&ListedFile| !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256);
         if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
-            return Err(self.refuse(self.failure(ProcessProblem::FileChanged { file: shortened(path) }, None)));
+            return Err(self.refuse(self.end_with_failure(ProcessProblem::FileChanged { file: escaped_excerpt(path) }, None)));
         }
         let ProcessSetup { command, program, folder, .. } = &self.setup;
-        let started = Program::start(command, program.as_deref(), folder)
-            .map_err(|problem| self.failure(problem, None))
+        let started = ChildProcess::start(command, program.as_deref(), folder)
+            .map_err(|problem| self.end_with_failure(problem, None))
             .and_then(|program| self.greet(program, 0, hello));
         let mut state = self.state();
         match &started {
-            Ok(_) => state.failed_in_a_row = 0,
+            Ok(_) => state.consecutive_failures = 0,
             Err(failure) => {
-                state.failed_in_a_row += 1;
-                if state.failed_in_a_row == MOST_FAILED_STARTS {
-                    state.refused = Some(failure.clone());
+                state.consecutive_failures += 1;
+                if state.consecutive_failures == MAX_FAILED_STARTS {
+                    state.refusal = Some(failure.clone());
                 }
             }
         }
@@ -328,17 +328,17 @@ impl ProcessController {
     }
 
     /// Tells a process of a vehicle, and hears what it says of itself.
-    fn greet(&self, mut program: Program, asked: u64, hello: &Arc<[u8]>) -> Result<Greeted, ControllerFailure> {
+    fn greet(&self, mut program: ChildProcess, asked: u64, hello: &Arc<[u8]>) -> Result<ConnectedProcess, ControllerFailure> {
         let within = Duration::from_secs_f64(self.setup.start_within_s);
-        let greeting = program.ask(hello, within).and_then(protocol::greeting);
-        match greeting.and_then(|greeting| self.accept(greeting)) {
-            Ok(greeting) => Ok(Greeted { program, hello: Arc::clone(hello), greeting, asked }),
-            Err(problem) => Err(self.failure(problem, Some(program))),
+        let greeting = program.query(hello, within).and_then(protocol::parse_hello_reply);
+        match greeting.and_then(|greeting| self.check_greeting(greeting)) {
+            Ok(greeting) => Ok(ConnectedProcess { program, hello: Arc::clone(hello), greeting, question_count: asked }),
+            Err(problem) => Err(self.end_with_failure(problem, Some(program))),
         }
     }
 
     /// What a process says of itself, if it can drive so.
-    fn accept(&self, greeting: Greeting) -> Result<Greeting, ProcessProblem> {
+    fn check_greeting(&self, greeting: HelloReply) -> Result<HelloReply, ProcessProblem> {
         let shown = self.setup.mapping.width();
         if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
             return Err(ProcessProblem::Inputs { wanted, shown });
@@ -350,11 +350,11 @@ impl ProcessController {
             return Err(ProcessProblem::Interval { interval_s, wanted });
         }
         if !greeting.deterministic && self.identity.is_some() {
-            return Err(ProcessProblem::Undeclared);
+            return Err(ProcessProblem::UndeclaredNondeterminism);
         }
         let mut state = self.state();
         match &state.greeting {
-            Some(first) if *first != greeting => Err(ProcessProblem::Changed),
+            Some(first) if *first != greeting => Err(ProcessProblem::HandshakeChanged),
             Some(_) => Ok(greeting),
             None => {
                 state.greeting = Some(greeting.clone());
@@ -363,55 +363,55 @@ impl ProcessController {
         }
     }
 
-    fn give_back(&self, greeted: Greeted) {
+    fn release(&self, greeted: ConnectedProcess) {
         self.state().idle.push(greeted);
     }
 
     /// Whether the next run of a vehicle, by a process that is fresh or has driven before, is one of those that are checked. Which of the
     /// later runs are follows from their number and the scenario's seed.
-    fn is_to_be_checked(&self, vehicle: usize, reused: bool, seed: u64) -> bool {
+    fn is_selected_for_check(&self, vehicle: usize, reused: bool, seed: u64) -> bool {
         if !self.is_deterministic() {
             return false;
         }
         let mut state = self.state();
         let place = state.runs.iter().position(|(known, _)| *known == vehicle).unwrap_or_else(|| {
-            state.runs.push((vehicle, RunsOfVehicle::default()));
+            state.runs.push((vehicle, VehicleRunCounts::default()));
             state.runs.len() - 1
         });
         let Some((_, runs)) = state.runs.get_mut(place) else { return false };
         let made = if reused { &mut runs.reused } else { &mut runs.fresh };
         let number = *made;
         *made += 1;
-        if number < CHECKED_FIRST {
+        if number < ALWAYS_CHECKED_RUNS {
             return true;
         }
         // Fresh ones that differ would do so at once; what is left over in one that has driven may show late.
-        let drawn = random::stream(seed, Purpose::AskedTwice, number).next_u64();
-        reused && drawn % number.next_power_of_two() < CHECKED_OF_TWO_DOUBLINGS
+        let drawn = random::stream(seed, Purpose::DeterminismCheck, number).next_u64();
+        reused && drawn % number.next_power_of_two() < CHECKED_RUNS_PER_TWO_DOUBLINGS
     }
 
     /// A failure for good: nothing is started any more.
     fn refuse(&self, failure: ControllerFailure) -> ControllerFailure {
-        self.state().refused.get_or_insert(failure).clone()
+        self.state().refusal.get_or_insert(failure).clone()
     }
 
     /// What is told of a process that failed, which ends.
-    fn failure(&self, problem: ProcessProblem, program: Option<Program>) -> ControllerFailure {
+    fn end_with_failure(&self, problem: ProcessProblem, program: Option<ChildProcess>) -> ControllerFailure {
         // A program that answers at all may end by itself, which gives the host of an FMU the time to remove its folder.
         let last_words = match &problem {
-            ProcessProblem::Late { .. } | ProcessProblem::TooLong { .. } => program.map(Program::end),
-            _ => program.map(Program::part),
+            ProcessProblem::Timeout { .. } | ProcessProblem::TooLong { .. } => program.map(ChildProcess::terminate),
+            _ => program.map(ChildProcess::shut_down),
         };
         let last_words = last_words.unwrap_or_default();
         let command = || {
             let words: Vec<_> = self.setup.command.iter().map(|word| ShellWord(word).to_string()).collect();
-            shortened(&words.join(" "))
+            escaped_excerpt(&words.join(" "))
         };
         let name = self.state().greeting.as_ref().map(|greeting| greeting.name.clone());
         ControllerFailure::Process(Box::new(ProcessFailure {
             controller: name.unwrap_or_else(command),
             problem,
-            last_words,
+            stderr_tail: last_words,
         }))
     }
 }
@@ -433,22 +433,22 @@ impl Drop for ProcessController {
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
         // All at once, so that they part at the same time.
-        state.idle.iter_mut().for_each(|greeted| greeted.program.close_input());
+        state.idle.iter_mut().for_each(|greeted| greeted.program.close_stdin());
     }
 }
 
 /// SHA-256, in hexadecimal, of an ordinary file.
-fn digest(path: &Path) -> io::Result<String> {
+fn file_sha256(path: &Path) -> io::Result<String> {
     let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
     if !path.metadata()?.is_file() {
         return Err(refused("is no ordinary file"));
     }
-    let mut file = File::open(path)?.take(MOST_FILE_BYTES + 1);
+    let mut file = File::open(path)?.take(MAX_FILE_BYTES + 1);
     let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
     loop {
         let read = file.read(&mut chunk)?;
         length += read as u64;
-        if length > MOST_FILE_BYTES {
+        if length > MAX_FILE_BYTES {
             return Err(refused("holds more than 1024 MiB"));
         }
         match chunk.get(..read) {

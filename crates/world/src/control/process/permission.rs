@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Origin of the name of a controller. Decides if crumple may start the program that the name stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NamedBy {
+pub enum NameOrigin {
     /// The user: an argument of this command line, a configuration or controller file that such an argument names, or code
     /// that constructs the controller.
     User,
@@ -12,7 +12,7 @@ pub enum NamedBy {
     File,
 }
 
-/// Permission to start the program of one controller. `NamedBy::permission` alone hands it out, and
+/// Permission to start the program of one controller. `NameOrigin::permission` alone hands it out, and
 /// [`ProcessController::new`](super::ProcessController::new) takes it.
 #[derive(Debug, Clone, Copy)]
 pub struct StartPermission(());
@@ -20,11 +20,11 @@ pub struct StartPermission(());
 /// Refusal to start a program, or to load an FMU, that only a file names.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{place}: crumple starts no program, and loads no FMU, that only a file names: add --allow-external if you trust the file"
+    "{location}: crumple starts no program, and loads no FMU, that only a file names: add --allow-external if you trust the file"
 )]
-pub struct StartRefused {
+pub struct StartRefusal {
     /// Place that names the program: file, line and field, or the name itself.
-    pub place: String,
+    pub location: String,
 }
 
 /// Set once, never cleared: the user's answer holds for the whole run.
@@ -42,16 +42,16 @@ pub fn is_external_allowed() -> bool {
     IS_EXTERNAL_ALLOWED.load(Ordering::Relaxed)
 }
 
-impl NamedBy {
+impl NameOrigin {
     /// Returns the permission to start a program; `place` says where it is named.
     ///
     /// # Errors
-    /// [`StartRefused`] for a name from a file, unless [`allow_external`] was called.
-    pub(crate) fn permission(self, place: impl FnOnce() -> String) -> Result<StartPermission, StartRefused> {
+    /// [`StartRefusal`] for a name from a file, unless [`allow_external`] was called.
+    pub(crate) fn permission(self, place: impl FnOnce() -> String) -> Result<StartPermission, StartRefusal> {
         match self {
             Self::User => Ok(StartPermission(())),
             Self::File if is_external_allowed() => Ok(StartPermission(())),
-            Self::File => Err(StartRefused { place: place() }),
+            Self::File => Err(StartRefusal { location: place() }),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Whether an action leaves a way out.
 
-use super::kernel::{largest_closing_m, moved};
-use super::{Frame, Real};
+use super::kernel::{max_closing_m, distance_and_speed_after};
+use super::{ShieldParams, Real};
 
 /// Gap and speeds at one instant, with the own actuator's response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,19 +16,19 @@ pub struct ShieldState<R = f64> {
     pub response_mps2: R,
 }
 
-impl<R: Real> Frame<R> {
+impl<R: Real> ShieldParams<R> {
     /// What the actuator does when a command within the vehicle's limits has become due, in m/s².
     #[must_use]
     #[inline]
     pub fn response_mps2(&self, response_mps2: R, due_mps2: R) -> R {
-        response_mps2 + self.share * (due_mps2 - response_mps2)
+        response_mps2 + self.response_fraction * (due_mps2 - response_mps2)
     }
 
     /// The fastest the vehicle may accelerate over a step; a vehicle that stands and does not want to move is held.
     fn acceleration_mps2(&self, state: ShieldState<R>, response_mps2: R) -> R {
-        let zero = R::of(0.0);
+        let zero = R::from_f64(0.0);
         let is_held = zero.at_least(state.speed_mps) & zero.at_least(response_mps2);
-        R::either(is_held, || zero, || response_mps2 + self.noise_mps2)
+        R::select(is_held, || zero, || response_mps2 + self.noise_mps2)
     }
 
     /// The state a step later, the vehicle ahead braking hardest.
@@ -36,8 +36,8 @@ impl<R: Real> Frame<R> {
     #[inline]
     pub fn after(&self, state: ShieldState<R>, due_mps2: R) -> ShieldState<R> {
         let response_mps2 = self.response_mps2(state.response_mps2, due_mps2);
-        let [covered_m, speed_mps] = moved(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
-        let [ahead_m, ahead_mps] = moved(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
+        let [covered_m, speed_mps] = distance_and_speed_after(state.speed_mps, self.acceleration_mps2(state, response_mps2), self.step_s);
+        let [ahead_m, ahead_mps] = distance_and_speed_after(state.ahead_mps, -self.ahead_brake_mps2, self.step_s);
         ShieldState { gap_m: state.gap_m + ahead_m - covered_m, speed_mps, ahead_mps, response_mps2 }
     }
 
@@ -46,10 +46,10 @@ impl<R: Real> Frame<R> {
     #[must_use]
     #[inline]
     pub fn speed_to_lose_mps(&self, state: ShieldState<R>) -> R {
-        let zero = R::of(0.0);
+        let zero = R::from_f64(0.0);
         let stands = zero.at_least(state.speed_mps) & zero.at_least(state.response_mps2);
         let by_lag_mps = || self.lag_s() * (state.response_mps2 + self.brake_mps2);
-        R::either(stands, || zero, || state.speed_mps + by_lag_mps())
+        R::select(stands, || zero, || state.speed_mps + by_lag_mps())
     }
 
     /// How much more gap there is than the kernel demands, in metres. Full braking never makes it smaller.
@@ -66,7 +66,7 @@ impl<R: Real> Frame<R> {
         let response_mps2 = self.response_mps2(state.response_mps2, wanted_mps2);
         let acceleration_mps2 = self.acceleration_mps2(state, response_mps2);
         let ShieldState { speed_mps, ahead_mps, .. } = state;
-        let closing_m = largest_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
+        let closing_m = max_closing_m(speed_mps, acceleration_mps2, ahead_mps, self.ahead_brake_mps2, self.step_s);
         let stays_open = (state.gap_m - closing_m).at_least(self.margin_m);
         let stays_in_kernel = self.spare_m(self.after(state, wanted_mps2)).at_least(self.margin_m);
         stays_open & stays_in_kernel

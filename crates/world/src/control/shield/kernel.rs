@@ -8,14 +8,14 @@ use super::Real;
 
 /// Brake limits of two successive vehicles, and which states they can leave without contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Kernel<R = f64> {
+pub struct ViabilityKernel<R = f64> {
     /// b, what the rear vehicle can brake at, in m/s², positive.
     pub own_brake_mps2: R,
     /// c, what the front vehicle never brakes harder than, in m/s², positive.
     pub ahead_brake_mps2: R,
 }
 
-impl<R: Real> Kernel<R> {
+impl<R: Real> ViabilityKernel<R> {
     /// D(v, w), in metres: the rear vehicle at `speed_mps` can avoid the one ahead at `ahead_mps`, whatever that does,
     /// exactly where the gap is larger.
     ///
@@ -27,27 +27,27 @@ impl<R: Real> Kernel<R> {
     pub fn demanded_gap_m(&self, speed_mps: R, ahead_mps: R) -> R {
         let Self { own_brake_mps2: b, ahead_brake_mps2: c } = *self;
         let (v, w) = (speed_mps, ahead_mps);
-        let (zero, two) = (R::of(0.0), R::of(2.0));
+        let (zero, two) = (R::from_f64(0.0), R::from_f64(2.0));
         let closest_at_rest = c.at_least(b) | (v * c).at_least(w * b);
         let difference_of_stops_m = || (v * v / (two * b) - w * w / (two * c)).larger(zero);
         let catching_up_m = || {
             let closing_mps = (v - w).larger(zero);
             closing_mps * closing_mps / (two * (b - c))
         };
-        R::either(closest_at_rest, difference_of_stops_m, catching_up_m)
+        R::select(closest_at_rest, difference_of_stops_m, catching_up_m)
     }
 }
 
 /// Distance covered (m) and speed (m/s) after `dt_s` from `speed_mps` under a held acceleration; nobody reverses.
 #[must_use]
 #[inline]
-pub fn moved<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
-    let (zero, half) = (R::of(0.0), R::of(0.5));
+pub fn distance_and_speed_after<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
+    let (zero, half) = (R::from_f64(0.0), R::from_f64(0.5));
     let end_mps = speed_mps + acceleration_mps2 * dt_s;
-    let stops = zero.above(end_mps);
-    let to_stop_m = || speed_mps * speed_mps / (R::of(-2.0) * acceleration_mps2);
+    let stops = zero.greater_than(end_mps);
+    let to_stop_m = || speed_mps * speed_mps / (R::from_f64(-2.0) * acceleration_mps2);
     let covered_m = || speed_mps * dt_s + half * acceleration_mps2 * dt_s * dt_s;
-    [R::either(stops, to_stop_m, covered_m), R::either(stops, || zero, || end_mps)]
+    [R::select(stops, to_stop_m, covered_m), R::select(stops, || zero, || end_mps)]
 }
 
 /// How far the gap closes at most at any instant within `dt_s`, in metres, if the front vehicle brakes at `ahead_brake_mps2`
@@ -56,14 +56,14 @@ pub fn moved<R: Real>(speed_mps: R, acceleration_mps2: R, dt_s: R) -> [R; 2] {
 /// The closing speed is linear until a vehicle stops; it turns from positive to negative only while both move.
 #[must_use]
 #[inline]
-pub fn largest_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
-    let zero = R::of(0.0);
-    let closing_m = |t: R| moved(speed_mps, acceleration_mps2, t)[0] - moved(ahead_mps, -ahead_brake_mps2, t)[0];
+pub fn max_closing_m<R: Real>(speed_mps: R, acceleration_mps2: R, ahead_mps: R, ahead_brake_mps2: R, dt_s: R) -> R {
+    let zero = R::from_f64(0.0);
+    let closing_m = |t: R| distance_and_speed_after(speed_mps, acceleration_mps2, t)[0] - distance_and_speed_after(ahead_mps, -ahead_brake_mps2, t)[0];
     let at_end_m = closing_m(dt_s).larger(zero);
     let turn_s = (speed_mps - ahead_mps) / (-acceleration_mps2 - ahead_brake_mps2);
     let turns_inside =
-        speed_mps.above(ahead_mps) & turn_s.above(zero) & dt_s.smaller(ahead_mps / ahead_brake_mps2).above(turn_s);
-    R::either(turns_inside, || at_end_m.larger(closing_m(turn_s)), || at_end_m)
+        speed_mps.greater_than(ahead_mps) & turn_s.greater_than(zero) & dt_s.smaller(ahead_mps / ahead_brake_mps2).greater_than(turn_s);
+    R::select(turns_inside, || at_end_m.larger(closing_m(turn_s)), || at_end_m)
 }
 
 #[cfg(test)]
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn a_harder_braking_car_behind_a_truck_needs_4_17_m_where_the_familiar_distance_needs_none() {
-        let kernel = Kernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 };
+        let kernel = ViabilityKernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 };
         assert!((kernel.demanded_gap_m(25.0, 20.0) - 25.0 / 6.0).abs() < 1e-12);
         assert!(25.0_f64.powi(2) / 16.0 < 20.0_f64.powi(2) / 10.0, "familiar distance");
     }
@@ -91,7 +91,7 @@ mod tests {
                                                 c in 0.5..10.0_f64, a in -10.0..4.0_f64, dt in 0.01..2.0_f64) {
             let until_standstill_s = (v / b).max(w / c) + 0.01;
             for (rate, horizon_s, claimed) in [
-                (-b, until_standstill_s, Kernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
+                (-b, until_standstill_s, ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c }.demanded_gap_m(v, w)),
                 (a, dt, largest_closing_m(v, a, w, c, dt)),
             ] {
                 let closing = |t: f64| moved(v, rate, t)[0] - moved(w, -c, t)[0];

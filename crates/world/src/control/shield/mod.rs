@@ -36,17 +36,17 @@
 //! estimator keeps the bounds that are stated for it, which are six standard deviations where noise has no bound.
 
 mod admission;
-mod frame;
+mod params;
 mod kernel;
 mod real;
 mod rounding;
 
 pub use admission::ShieldState;
-pub use frame::{Behind, ErrorBounds, Frame, ShieldSettings};
-pub use kernel::{Kernel, largest_closing_m, moved};
+pub use params::{RearVehicleParams, ErrorBounds, ShieldParams, ShieldSettings};
+pub use kernel::{ViabilityKernel, max_closing_m, distance_and_speed_after};
 pub use real::Real;
-pub use rounding::MARGIN_M;
-pub(crate) use rounding::{MOST_MARGIN_M, Travel};
+pub use rounding::MIN_MARGIN_M;
+pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
 
 use std::collections::VecDeque;
 
@@ -68,25 +68,25 @@ pub(crate) struct Override {
 }
 
 /// A controller behind a shield.
-pub(crate) struct Shield {
+pub(crate) struct ShieldedController {
     controller: Box<AnyController>,
-    frame: Frame,
+    params: ShieldParams,
     /// Commands under way to the actuator, oldest first.
-    pending: VecDeque<f64>,
+    pending_mps2: VecDeque<f64>,
     /// What the actuator makes of the commands so far, in m/s².
     response_mps2: f64,
     step: usize,
     overrides: Vec<Override>,
 }
 
-impl Shield {
+impl ShieldedController {
     /// Puts a controller behind a shield.
     #[must_use]
-    pub(crate) fn new(controller: AnyController, frame: Frame) -> Self {
+    pub(crate) fn new(controller: AnyController, frame: ShieldParams) -> Self {
         Self {
             controller: Box::new(controller),
-            pending: VecDeque::from(vec![0.0; frame.delay_steps]),
-            frame,
+            pending_mps2: VecDeque::from(vec![0.0; frame.delay_steps]),
+            params: frame,
             response_mps2: 0.0,
             step: 0,
             overrides: Vec::new(),
@@ -102,20 +102,20 @@ impl Shield {
     /// The worst state within the error bounds in which a command given now will act; none on an open road.
     fn worst_state(&self, seen: &Observation) -> Option<ShieldState> {
         let ahead = seen.ahead?;
-        let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.frame.errors;
+        let ErrorBounds { gap_m, speed_mps, ahead_speed_mps } = self.params.errors;
         let mut state = ShieldState {
             gap_m: ahead.gap_m - gap_m,
             speed_mps: seen.speed_mps + speed_mps,
             ahead_mps: (ahead.speed_mps - ahead_speed_mps).max(0.0),
             response_mps2: self.response_mps2,
         };
-        for &command_mps2 in &self.pending {
-            state = self.frame.after(state, command_mps2);
+        for &command_mps2 in &self.pending_mps2 {
+            state = self.params.after(state, command_mps2);
         }
         Some(state)
     }
 
-    fn note_override(&mut self, outside_kernel: bool, rear_conflict: bool) {
+    fn record_override(&mut self, outside_kernel: bool, rear_conflict: bool) {
         let step = self.step;
         match self.overrides.last_mut().filter(|last| last.last_step + 1 == step) {
             Some(last) => {
@@ -130,36 +130,36 @@ impl Shield {
     }
 }
 
-impl Controller for Shield {
+impl Controller for ShieldedController {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let wanted_mps2 = within(self.controller.decide(seen)?, self.frame.brake_mps2, self.frame.accel_mps2);
+        let wanted_mps2 = within(self.controller.decide(seen)?, self.params.brake_mps2, self.params.accel_mps2);
         let mut command_mps2 = wanted_mps2;
         if let Some(state) = self.worst_state(seen)
-            && !self.frame.admits(state, wanted_mps2)
+            && !self.params.admits(state, wanted_mps2)
         {
-            command_mps2 = -self.frame.brake_mps2;
-            let outside_kernel = self.frame.spare_m(state) < 0.5 * self.frame.margin_m;
+            command_mps2 = -self.params.brake_mps2;
+            let outside_kernel = self.params.spare_m(state) < 0.5 * self.params.margin_m;
             // A controller that brakes fully by itself is not overruled; that nothing is promised any more is told all the same.
             if wanted_mps2 > command_mps2 || outside_kernel {
-                self.note_override(outside_kernel, self.frame.endangers_rear(seen));
+                self.record_override(outside_kernel, self.params.endangers_rear(seen));
             }
         }
-        self.pending.push_back(command_mps2);
-        let due_mps2 = self.pending.pop_front().unwrap_or(command_mps2);
-        self.response_mps2 = self.frame.response_mps2(self.response_mps2, due_mps2);
+        self.pending_mps2.push_back(command_mps2);
+        let due_mps2 = self.pending_mps2.pop_front().unwrap_or(command_mps2);
+        self.response_mps2 = self.params.response_mps2(self.response_mps2, due_mps2);
         self.step += 1;
         Ok(command_mps2)
     }
 }
 
-impl Frame {
+impl ShieldParams {
     /// Whether full braking from now on cannot be avoided by the vehicle behind, which holds its speed until it reacts.
     ///
     /// The gap behind is concave while it holds its speed and the own vehicle brakes, so it is smallest at an end of that.
     fn endangers_rear(&self, seen: &Observation) -> bool {
-        let (Some(rear), Some(Behind { brake_mps2, reaction_s })) = (seen.behind, self.behind) else { return false };
-        let [covered_m, speed_mps] = moved(seen.speed_mps, -self.brake_mps2, reaction_s);
-        let kernel = Kernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
+        let (Some(rear), Some(RearVehicleParams { brake_mps2, reaction_s })) = (seen.behind, self.behind) else { return false };
+        let [covered_m, speed_mps] = distance_and_speed_after(seen.speed_mps, -self.brake_mps2, reaction_s);
+        let kernel = ViabilityKernel { own_brake_mps2: brake_mps2, ahead_brake_mps2: self.brake_mps2 };
         let gap_m = rear.gap_m + covered_m - rear.speed_mps * reaction_s;
         gap_m <= kernel.demanded_gap_m(rear.speed_mps, speed_mps)
     }

@@ -13,27 +13,27 @@ pub trait Real:
     type Truth: Copy + BitAnd<Output = Self::Truth> + BitOr<Output = Self::Truth>;
 
     /// A constant, exactly.
-    fn of(value: f64) -> Self;
+    fn from_f64(value: f64) -> Self;
 
     /// Whether this is greater than `other`.
-    fn above(self, other: Self) -> Self::Truth;
+    fn greater_than(self, other: Self) -> Self::Truth;
 
     /// Whether this is not less than `other`.
     fn at_least(self, other: Self) -> Self::Truth;
 
     /// One or the other.
-    fn either(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
+    fn select(truth: Self::Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self;
 
     /// The larger of two.
     #[must_use]
     fn larger(self, other: Self) -> Self {
-        Self::either(self.at_least(other), || self, || other)
+        Self::select(self.at_least(other), || self, || other)
     }
 
     /// The smaller of two.
     #[must_use]
     fn smaller(self, other: Self) -> Self {
-        Self::either(self.at_least(other), || other, || self)
+        Self::select(self.at_least(other), || other, || self)
     }
 }
 
@@ -41,12 +41,12 @@ impl Real for f64 {
     type Truth = bool;
 
     #[inline]
-    fn of(value: f64) -> Self {
+    fn from_f64(value: f64) -> Self {
         value
     }
 
     #[inline]
-    fn above(self, other: Self) -> bool {
+    fn greater_than(self, other: Self) -> bool {
         self > other
     }
 
@@ -56,7 +56,7 @@ impl Real for f64 {
     }
 
     #[inline]
-    fn either(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+    fn select(truth: bool, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
         if truth { then() } else { otherwise() }
     }
 

@@ -1,15 +1,15 @@
 //! What rounding may take of a gap, and the margin that pays for it.
 
-use super::Frame;
+use super::ShieldParams;
 
 /// Demanded on top of the kernel's gap even where rounding takes less, in metres.
-pub const MARGIN_M: f64 = 1e-6;
+pub const MIN_MARGIN_M: f64 = 1e-6;
 
 /// A margin beyond which a shield refuses to vouch for a vehicle, in metres: rounding would no longer be a detail.
-pub(crate) const MOST_MARGIN_M: f64 = 0.1;
+pub(crate) const MAX_MARGIN_M: f64 = 0.1;
 
 /// Half the distance of 1 from the next number: what one operation may be off by, as a share of its result.
-const U: f64 = 0.5 * f64::EPSILON;
+const UNIT_ROUNDOFF: f64 = 0.5 * f64::EPSILON;
 
 /// What is bounded by real numbers may be exceeded by what is computed, and by what rounding adds in all steps of a run, of which there are
 /// at most five million: by less than this share.
@@ -17,7 +17,7 @@ const PAD: f64 = 1.0 + 1e-8;
 
 /// How far, how fast and in how many steps a vehicle and the one ahead of it may travel: bounds over a whole run.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Travel {
+pub(crate) struct MotionBounds {
     /// X, the largest distance from the origin of any bumper of the two, in metres.
     pub position_m: f64,
     /// V, the highest speed of the two, in m/s.
@@ -30,7 +30,7 @@ pub(crate) struct Travel {
     pub substeps: usize,
 }
 
-impl Travel {
+impl MotionBounds {
     /// The margin in metres that lets what is proved of real numbers hold of the numbers that drive.
     ///
     /// Names in parentheses are theorems that Coq has checked, of the Rust expressions operation by operation: `verify/coq/Rounding.v`, shown in
@@ -38,7 +38,7 @@ impl Travel {
     ///
     /// # What is computed
     ///
-    /// u = 2⁻⁵³ is what an operation may be off by, as a share of its result (`an_operation_is_off_by_u`). With V as in [`Travel`], the
+    /// u = 2⁻⁵³ is what an operation may be off by, as a share of its result (`an_operation_is_off_by_u`). With V as in [`MotionBounds`], the
     /// shield's step h, the integration's h/k, d steps of delay and τ' for the lag ([`Frame::lag_s`]), let
     ///
     /// ```text
@@ -110,7 +110,7 @@ impl Travel {
     /// What the estimator computes is not counted here: the error bounds are taken as they are given. Products below 10⁻³⁰⁸ are rounded by
     /// more than a share u, and are no matter for a gap.
     #[must_use]
-    pub(crate) fn margin_m(&self, frame: &Frame) -> f64 {
+    pub(crate) fn margin_m(&self, frame: &ShieldParams) -> f64 {
         let Self { steps, substeps, .. } = *self;
         let speed_mps = PAD * self.speed_mps;
         let brake_mps2 = frame.kernel().own_brake_mps2;
@@ -122,14 +122,14 @@ impl Travel {
         let (stop_s, stop_m) = (replaced_mps / brake_mps2, 0.5 * replaced_mps * replaced_mps / brake_mps2);
         let predicted = frame.delay_steps as f64 + 1.0;
         let reach_s = stop_s + predicted * frame.step_s;
-        let step_m = U
+        let step_m = UNIT_ROUNDOFF
             * (8.0 * position_m
                 + 2.0 * reach_s * (speed_mps + 6.0 * any_mps2 * frame.step_s)
                 + 5.0 * lag_s * reach_s * response_span_mps2);
-        let test_m = predicted * (step_m + 16.0 * U * position_m) + U * (8.0 * position_m + 32.0 * stop_m);
+        let test_m = predicted * (step_m + 16.0 * UNIT_ROUNDOFF * position_m) + UNIT_ROUNDOFF * (8.0 * position_m + 32.0 * stop_m);
         let braking = (stop_s / frame.step_s + predicted) * substeps as f64 + 1.0;
-        let needed_m = (braking.min(steps as f64) + 2.0) * step_m + 2.0 * test_m + 16.0 * U * position_m;
-        (2.0 * needed_m).max(MARGIN_M)
+        let needed_m = (braking.min(steps as f64) + 2.0) * step_m + 2.0 * test_m + 16.0 * UNIT_ROUNDOFF * position_m;
+        (2.0 * needed_m).max(MIN_MARGIN_M)
     }
 }
 
@@ -138,7 +138,7 @@ mod tests {
     use super::*;
     use crate::control::ErrorBounds;
 
-    const FRAME: Frame = Frame {
+    const PARAMS: Frame = Frame {
         step_s: 0.01,
         brake_mps2: 7.5,
         accel_mps2: 3.0,
@@ -167,29 +167,29 @@ mod tests {
         let near = |found_m: f64, expected_m: f64| {
             assert!((found_m / expected_m - 1.0).abs() < 1e-12, "{found_m} {expected_m}");
         };
-        let travel = Travel { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
-        near(travel.margin_m(&FRAME), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| 4.0 * (t / 0.01 + 3.0) + 1.0));
+        let travel = MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 2.0, steps: 1_000_000, substeps: 4 };
+        near(travel.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| 4.0 * (t / 0.01 + 3.0) + 1.0));
         // No more steps than there are.
-        let short = Travel { steps: 100, ..travel };
-        near(short.margin_m(&FRAME), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0));
+        let short = MotionBounds { steps: 100, ..travel };
+        near(short.margin_m(&PARAMS), expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0));
         // Terms that large positions hide.
-        let still = Travel { position_m: 0.0, speed_mps: 1e5, steps: 1_000_000_000, substeps: 1, ..travel };
-        let slow = Frame { share: 0.001, delay_steps: 0, step_s: 1.0, ..FRAME };
+        let still = MotionBounds { position_m: 0.0, speed_mps: 1e5, steps: 1_000_000_000, substeps: 1, ..travel };
+        let slow = Frame { share: 0.001, delay_steps: 0, step_s: 1.0, ..PARAMS };
         near(still.margin_m(&slow), expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0));
     }
 
     /// Behind one that may accelerate harder than the own vehicle brakes, what rounding takes of its speed counts.
     #[test]
     fn the_margin_covers_a_vehicle_ahead_that_accelerates_hard() {
-        let tame = Travel { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
-        let wild = Travel { ahead_accel_mps2: 90.0, ..tame };
-        let slow = Frame { step_s: 1.0, ..FRAME };
+        let tame = MotionBounds { position_m: 1e8, speed_mps: 30.0, ahead_accel_mps2: 0.0, steps: 1_000_000, substeps: 1 };
+        let wild = MotionBounds { ahead_accel_mps2: 90.0, ..tame };
+        let slow = Frame { step_s: 1.0, ..PARAMS };
         assert!(wild.margin_m(&slow) > tame.margin_m(&slow));
     }
 
     #[test]
     fn near_the_origin_the_margin_is_a_micrometre() {
-        let near = Travel { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
-        assert_eq!(near.margin_m(&FRAME), MARGIN_M);
+        let near = MotionBounds { position_m: 400.0, speed_mps: 70.0, ahead_accel_mps2: 3.0, steps: 1500, substeps: 10 };
+        assert_eq!(near.margin_m(&PARAMS), MARGIN_M);
     }
 }

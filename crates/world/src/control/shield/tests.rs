@@ -8,7 +8,7 @@ use crate::observation::Neighbour;
 use proptest::prelude::*;
 
 /// The car brakes at 8 m/s², the truck ahead of it at 5, and a step is a second.
-fn slow_steps() -> Frame {
+fn slow_step_params() -> Frame {
     Frame {
         step_s: 1.0,
         brake_mps2: 8.0,
@@ -30,7 +30,7 @@ fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
 /// Equally fast after half a second, when the gap has closed by a quarter of a metre; apart again at the end of the step.
 #[test]
 fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
-    let (frame, wanted_mps2) = (slow_steps(), -7.0);
+    let (frame, wanted_mps2) = (slow_step_params(), -7.0);
     for (gap_m, is_admitted) in [(0.2, false), (0.25, false), (0.250_002, true)] {
         let now = state(gap_m, 11.0, 10.0);
         assert!(frame.spare_m(now) > frame.margin_m, "there is a way out: full braking");
@@ -42,7 +42,7 @@ fn what_touches_in_mid_step_is_not_let_through_though_the_step_ends_well() {
 
 #[test]
 fn the_step_has_to_end_in_the_kernel_by_the_margin() {
-    let frame = slow_steps();
+    let frame = slow_step_params();
     // 20 m/s held over a second behind one that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
     let needed_m = 2.5 + 25.0 / 6.0;
     for (more, is_admitted) in [(0.0, false), (0.5, false), (1.5, true)] {
@@ -56,7 +56,7 @@ fn the_step_has_to_end_in_the_kernel_by_the_margin() {
 
 prop_compose! {
     /// A frame, a state and an action.
-    fn question()(
+    fn any_state_and_action()(
         step_s in prop_oneof![0.005..0.05_f64, 0.05..1.0_f64],
         (brake_mps2, ahead_brake_mps2) in (0.5..10.0_f64, 0.5..10.0_f64),
         noise_share in prop_oneof![Just(0.0), 0.0..0.3_f64],
@@ -68,7 +68,7 @@ prop_compose! {
         (response, wanted) in (0.0..1.0_f64, prop_oneof![0.0..1.0_f64, 0.0..0.2_f64]),
     ) -> (Frame, ShieldState, f64) {
         let noise_mps2 = noise_share * brake_mps2;
-        let frame = Frame { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, share, ..slow_steps() };
+        let frame = Frame { step_s, brake_mps2, ahead_brake_mps2, noise_mps2, share, ..slow_step_params() };
         let between = |part: f64| -brake_mps2 + part * (brake_mps2 + frame.accel_mps2);
         let ahead_mps = near.map_or(ahead_mps, |by| (speed_mps + by).max(0.0));
         let response_mps2 = if share < 1.0 { between(response) } else { 0.0 };
@@ -129,13 +129,13 @@ proptest! {
     }
 }
 
-fn shield(frame: Frame) -> Shield {
+fn full_throttle_shield(frame: Frame) -> Shield {
     let full_throttle = ControllerSpec::FullThrottle(Default::default());
     Shield::new(AnyController::built_in(&full_throttle, &EGO, 0), frame)
 }
 
 /// The gap from which full throttle is just let through, to a micrometre.
-fn least_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
+fn min_admitted_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
     let (mut low_m, mut high_m) = (0.0, 1000.0);
     while high_m - low_m > 1e-7 {
         let gap_m = 0.5 * (low_m + high_m);
@@ -149,7 +149,7 @@ fn least_gap_m(frame: Frame, speed_mps: f64, ahead_mps: f64) -> f64 {
 /// 20 m/s against 15, step 0.1 s: worked out by hand with exact quotients.
 #[test]
 fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
-    let plain = Frame { step_s: 0.1, ..slow_steps() };
+    let plain = Frame { step_s: 0.1, ..slow_step_params() };
     let least_m = |frame: Frame| least_gap_m(frame, 20.0, 15.0);
     let demanded_m = |v: f64, w: f64| Kernel { own_brake_mps2: 8.0, ahead_brake_mps2: 5.0 }.demanded_gap_m(v, w);
     let near = |found_m: f64, by_hand_m: f64| assert!((found_m - by_hand_m).abs() < 3e-6, "{found_m} {by_hand_m}");
@@ -170,7 +170,7 @@ fn the_gap_that_is_asked_for_is_that_of_the_worst_state() {
 /// Delay and lag go on through the steps: what was decided before is on its way.
 #[test]
 fn commands_under_way_are_counted_on() {
-    let frame = Frame { step_s: 0.1, delay_steps: 1, share: 0.5, ..slow_steps() };
+    let frame = Frame { step_s: 0.1, delay_steps: 1, share: 0.5, ..slow_step_params() };
     let seen = behind(10.0, 100.0, 10.0, 0.0);
     let mut shield = shield(frame);
     assert_eq!(shield.decide(&seen).unwrap(), 3.0);
@@ -185,7 +185,7 @@ fn commands_under_way_are_counted_on() {
 #[test]
 fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
     for (spare_m, outside) in [(1e-5 * 0.4, true), (1e-5 * 0.6, false), (-0.1, true)] {
-        let frame = Frame { step_s: 0.1, margin_m: 1e-5, ..slow_steps() };
+        let frame = Frame { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
         let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
         let mut shield = shield(frame);
         assert_eq!(shield.decide(&behind(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
@@ -204,7 +204,7 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
         assert_eq!(shield.decide(&Observation { behind: rear, ..behind(20.0, 1.0, 10.0, 0.0) }).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
-    let frame = Frame { step_s: 0.1, behind: Some(behind_it), ..slow_steps() };
+    let frame = Frame { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
     let least_m = 8.0 - 7.36 + 400.0 / 12.0 - 16.8 * 16.8 / 16.0;
     assert!(conflict(frame, Some(least_m - 1e-9)) && !conflict(frame, Some(least_m + 1e-9)));
     assert!(!conflict(frame, None) && !conflict(Frame { behind: None, ..frame }, Some(0.1)));
@@ -212,7 +212,7 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
 
 #[test]
 fn overrides_in_successive_steps_are_one() {
-    let frame = Frame { step_s: 0.1, behind: Some(Behind { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_steps() };
+    let frame = Frame { step_s: 0.1, behind: Some(Behind { brake_mps2: 6.0, reaction_s: 0.0 }), ..slow_step_params() };
     let mut shield = shield(frame);
     let near_m = frame.kernel().demanded_gap_m(20.0, 15.0) + 0.01;
     let rear = Some(Neighbour { gap_m: 0.1, speed_mps: 30.0, acceleration_mps2: 0.0 });
@@ -230,7 +230,7 @@ fn overrides_in_successive_steps_are_one() {
 /// Whoever brakes fully is not overruled, but told of where nothing is promised any more; whoever answers with more than can be had is cut to that.
 #[test]
 fn only_what_is_changed_is_an_override() {
-    let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_steps() };
+    let frame = Frame { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
     let mut shield = shield(frame);
     assert_eq!(shield.decide(&behind(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
     let full_brake = Frame { accel_mps2: -2.0, ..frame };

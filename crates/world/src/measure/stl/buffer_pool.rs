@@ -6,10 +6,10 @@
 use std::cell::RefCell;
 
 /// Arrays kept by each thread.
-const MOST: usize = 8;
+const MAX_ARRAYS: usize = 8;
 
 /// Numbers in the longest array that is kept: 8 MiB.
-const LONGEST: usize = 1 << 20;
+const MAX_LENGTH: usize = 1 << 20;
 
 thread_local! {
     static SPARE: RefCell<Vec<Vec<f64>>> = const { RefCell::new(Vec::new()) };
@@ -25,7 +25,7 @@ pub(super) fn take() -> Vec<f64> {
 /// Keeps an array that is not needed any more.
 pub(super) fn give(array: Vec<f64>) {
     SPARE.with_borrow_mut(|pool| {
-        if pool.len() < MOST && array.capacity() <= LONGEST {
+        if pool.len() < MAX_ARRAYS && array.capacity() <= MAX_LENGTH {
             pool.push(array);
         }
     });

@@ -8,7 +8,7 @@ use super::lex::is_signal_name;
 #[derive(Debug, Clone, PartialEq)]
 pub enum Formula {
     /// A sum of signals compared with a number.
-    Compare(Comparison),
+    Compare(LinearPredicate),
     /// Negation.
     Not(Box<Formula>),
     /// Both.
@@ -18,16 +18,16 @@ pub enum Formula {
     /// The second wherever the first.
     Implies(Box<Formula>, Box<Formula>),
     /// At every sample of the window.
-    Always(Interval, Box<Formula>),
+    Always(TimeWindow, Box<Formula>),
     /// At some sample of the window.
-    Eventually(Interval, Box<Formula>),
+    Eventually(TimeWindow, Box<Formula>),
     /// The second formula at some sample of the window, and the first one from now until just before it.
-    Until(Box<Formula>, Interval, Box<Formula>),
+    Until(Box<Formula>, TimeWindow, Box<Formula>),
 }
 
 /// How a comparison compares.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Relation {
+pub enum ComparisonOp {
     /// `<`
     Below,
     /// `<=`
@@ -40,15 +40,15 @@ pub enum Relation {
 
 /// A weighted sum of distinct signals compared with a number.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Comparison {
+pub struct LinearPredicate {
     terms: Vec<(f64, String)>,
-    relation: Relation,
+    operator: ComparisonOp,
     bound: f64,
 }
 
 /// A window of time relative to now, in seconds: `0 <= from_s <= to_s`, and `to_s` may be infinite.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Interval {
+pub struct TimeWindow {
     from_s: f64,
     to_s: f64,
 }
@@ -82,14 +82,14 @@ pub enum FormulaError {
     },
 }
 
-impl Comparison {
+impl LinearPredicate {
     /// Compares the sum of `weight * signal` with `bound`. Terms of one signal are added up, zero weights dropped.
     ///
     /// # Errors
     /// [`FormulaError`] if a name cannot be written in the syntax, a number is not finite or no signal is left.
     pub fn new(
         terms: impl IntoIterator<Item = (f64, String)>,
-        relation: Relation,
+        relation: ComparisonOp,
         bound: f64,
     ) -> Result<Self, FormulaError> {
         let mut sum: Vec<(f64, String)> = Vec::new();
@@ -109,7 +109,7 @@ impl Comparison {
         if sum.is_empty() {
             return Err(FormulaError::NoSignal);
         }
-        Ok(Self { terms: sum, relation, bound })
+        Ok(Self { terms: sum, operator: relation, bound })
     }
 
     /// The weights and names of the signals, each name once.
@@ -120,8 +120,8 @@ impl Comparison {
 
     /// How the sum is compared.
     #[must_use]
-    pub(crate) fn relation(&self) -> Relation {
-        self.relation
+    pub(crate) fn operator(&self) -> ComparisonOp {
+        self.operator
     }
 
     /// What it is compared with.
@@ -131,7 +131,7 @@ impl Comparison {
     }
 }
 
-impl Relation {
+impl ComparisonOp {
     /// Whether equality does not satisfy it.
     #[must_use]
     pub(crate) fn is_strict(self) -> bool {
@@ -140,12 +140,12 @@ impl Relation {
 
     /// Whether larger sums satisfy it better.
     #[must_use]
-    pub(crate) fn wants_more(self) -> bool {
+    pub(crate) fn is_lower_bound(self) -> bool {
         matches!(self, Self::Above | Self::AtLeast)
     }
 }
 
-impl fmt::Display for Relation {
+impl fmt::Display for ComparisonOp {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Below => "<",
@@ -156,7 +156,7 @@ impl fmt::Display for Relation {
     }
 }
 
-impl Interval {
+impl TimeWindow {
     /// From now to the end of the trace.
     pub const ALL: Self = Self { from_s: 0.0, to_s: f64::INFINITY };
 

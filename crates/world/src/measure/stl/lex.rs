@@ -1,6 +1,6 @@
 //! From text to tokens.
 
-use super::parse::{ParseError, SyntaxProblem};
+use super::parse::{FormulaParseError, SyntaxProblem};
 
 /// A word or sign of the syntax.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,23 +104,23 @@ const SIGNS: [(&str, Symbol); 26] = [
 /// Whether a signal of this name can be written in a formula.
 pub(super) fn is_signal_name(text: &str) -> bool {
     let mut letters = text.chars();
-    letters.next().is_some_and(starts_name) && letters.all(continues_name) && keyword(text).is_none()
+    letters.next().is_some_and(is_name_start) && letters.all(is_name_continue) && find_keyword(text).is_none()
 }
 
-fn starts_name(c: char) -> bool {
+fn is_name_start(c: char) -> bool {
     c.is_alphabetic() || c == '_'
 }
 
-fn continues_name(c: char) -> bool {
+fn is_name_continue(c: char) -> bool {
     c.is_alphanumeric() || c == '_' || c == '.'
 }
 
-fn keyword(word: &str) -> Option<Symbol> {
+fn find_keyword(word: &str) -> Option<Symbol> {
     KEYWORDS.iter().find(|(text, _)| *text == word).map(|(_, symbol)| *symbol)
 }
 
 /// The tokens of `text`, each with its column (from 1, in characters), and [`Token::End`] last.
-pub(super) fn tokens(text: &str) -> Result<Vec<(usize, Token)>, ParseError> {
+pub(super) fn tokenize(text: &str) -> Result<Vec<(usize, Token)>, FormulaParseError> {
     let mut tokens = Vec::new();
     let mut column = 1;
     let mut rest = text;
@@ -131,15 +131,15 @@ pub(super) fn tokens(text: &str) -> Result<Vec<(usize, Token)>, ParseError> {
             let length = number_length(rest);
             let written = rest.get(..length).unwrap_or_default();
             let number = written.parse::<f64>().ok().filter(|x| x.is_finite());
-            let misread = || ParseError { column, problem: SyntaxProblem::Number { found: written.to_owned() } };
+            let misread = || FormulaParseError { column, problem: SyntaxProblem::Number { found: written.to_owned() } };
             (length, Some(Token::Number(number.ok_or_else(misread)?)))
-        } else if starts_name(first) {
-            let length = rest.find(|c| !continues_name(c)).unwrap_or(rest.len());
+        } else if is_name_start(first) {
+            let length = rest.find(|c| !is_name_continue(c)).unwrap_or(rest.len());
             let word = rest.get(..length).unwrap_or_default();
-            (length, Some(keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol)))
+            (length, Some(find_keyword(word).map_or_else(|| Token::Name(word.to_owned()), Token::Symbol)))
         } else {
             let sign = SIGNS.iter().find(|(sign, _)| rest.starts_with(sign));
-            let unknown = || ParseError { column, problem: SyntaxProblem::Character { found: first } };
+            let unknown = || FormulaParseError { column, problem: SyntaxProblem::Character { found: first } };
             let (sign, symbol) = sign.ok_or_else(unknown)?;
             (sign.len(), Some(Token::Symbol(*symbol)))
         };

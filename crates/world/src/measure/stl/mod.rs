@@ -49,10 +49,10 @@ mod print;
 mod signals;
 mod window;
 
-pub use formula::{Comparison, Formula, FormulaError, Interval, Relation};
+pub use formula::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
 pub use monitor::MonitorError;
 pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;
 pub(crate) use parse::signal_column;
-pub use parse::{ParseError, SyntaxProblem};
-pub use signals::{Signals, SignalsError};
+pub use parse::{FormulaParseError, SyntaxProblem};
+pub use signals::{SampledSignals, SignalsError};

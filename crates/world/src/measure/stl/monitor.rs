@@ -1,9 +1,9 @@
 //! The monitor: one pass bottom-up over the formula, linear in the trace for every operator.
 
 use super::buffer_pool;
-use super::formula::{Comparison, Formula, Interval};
-use super::signals::Signals;
-use super::window::{Extremum, Maximum, Minimum, sliding};
+use super::formula::{LinearPredicate, Formula, TimeWindow};
+use super::signals::SampledSignals;
+use super::window::{Extremum, Maximum, Minimum, sliding_extremum};
 
 /// Why a formula cannot be evaluated on some signals.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -21,7 +21,7 @@ pub enum MonitorError {
     #[error("the window [{},{}] s holds no sample at a step of {step_s} s", window.from_s(), window.to_s())]
     NoSample {
         /// The window.
-        window: Interval,
+        window: TimeWindow,
         /// Time between samples, in seconds.
         step_s: f64,
     },
@@ -37,9 +37,9 @@ pub enum MonitorError {
 
 /// What a comparison contributes: its margin, or just its truth as +1 or -1.
 #[derive(Clone, Copy, PartialEq)]
-enum Reading {
-    Margin,
-    Truth,
+enum MonitorSemantics {
+    Quantitative,
+    Boolean,
 }
 
 impl Formula {
@@ -49,37 +49,37 @@ impl Formula {
     ///
     /// # Errors
     /// [`MonitorError`] for a signal that is missing, a window between samples, or a sum that is undefined.
-    pub fn robustness(&self, signals: &Signals<'_>) -> Result<f64, MonitorError> {
-        self.first(signals, Reading::Margin)
+    pub fn robustness(&self, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
+        self.first_value(signals, MonitorSemantics::Quantitative)
     }
 
     /// Robustness at every sample.
     ///
     /// # Errors
     /// As [`Formula::robustness`].
-    pub fn robustness_over_time(&self, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
-        Monitor { signals, reading: Reading::Margin }.values(self, 0, signals.samples())
+    pub fn robustness_over_time(&self, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
+        Monitor { signals, semantics: MonitorSemantics::Quantitative }.values(self, 0, signals.samples())
     }
 
     /// Whether the formula holds at the first sample. Agrees with the sign of the robustness wherever that is not zero.
     ///
     /// # Errors
     /// As [`Formula::robustness`].
-    pub fn is_satisfied(&self, signals: &Signals<'_>) -> Result<bool, MonitorError> {
-        Ok(self.first(signals, Reading::Truth)? > 0.0)
+    pub fn is_satisfied(&self, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
+        Ok(self.first_value(signals, MonitorSemantics::Boolean)? > 0.0)
     }
 
-    fn first(&self, signals: &Signals<'_>, reading: Reading) -> Result<f64, MonitorError> {
-        let values = Monitor { signals, reading }.values(self, 0, 1)?;
+    fn first_value(&self, signals: &SampledSignals<'_>, reading: MonitorSemantics) -> Result<f64, MonitorError> {
+        let values = Monitor { signals, semantics: reading }.values(self, 0, 1)?;
         let first = values.first().copied().unwrap_or(f64::NAN);
         buffer_pool::give(values);
         Ok(first)
     }
 }
 
-impl Interval {
+impl TimeWindow {
     /// First and last sample of the window, relative to now; the last one is `usize::MAX` for an infinite window.
-    pub(super) fn samples(self, step_s: f64) -> Result<(usize, usize), MonitorError> {
+    pub(super) fn sample_bounds(self, step_s: f64) -> Result<(usize, usize), MonitorError> {
         // Bounds that are multiples of the step in decimal must be so in binary: allow a millionth of a step.
         let first = (self.from_s() / step_s - 1e-6).ceil().max(0.0);
         let last = (self.to_s() / step_s + 1e-6).floor();
@@ -92,11 +92,11 @@ impl Interval {
 }
 
 /// Samples that a comparison works on at a time.
-const PIECE: usize = 1024;
+const CHUNK: usize = 1024;
 
 struct Monitor<'a> {
-    signals: &'a Signals<'a>,
-    reading: Reading,
+    signals: &'a SampledSignals<'a>,
+    semantics: MonitorSemantics,
 }
 
 impl Monitor<'_> {
@@ -109,17 +109,17 @@ impl Monitor<'_> {
                 values.iter_mut().for_each(|value| *value = -*value);
                 Ok(values)
             }
-            Formula::And(left, right) => self.join(left, right, from, to, Minimum::of),
-            Formula::Or(left, right) => self.join(left, right, from, to, Maximum::of),
-            Formula::Implies(left, right) => self.join(left, right, from, to, |a, b| Maximum::of(-a, b)),
+            Formula::And(left, right) => self.join(left, right, from, to, Minimum::combine),
+            Formula::Or(left, right) => self.join(left, right, from, to, Maximum::combine),
+            Formula::Implies(left, right) => self.join(left, right, from, to, |a, b| Maximum::combine(-a, b)),
             Formula::Always(window, inner) => self.window::<Minimum>(*window, inner, from, to),
             Formula::Eventually(window, inner) => self.window::<Maximum>(*window, inner, from, to),
             Formula::Until(left, window, right) => self.until(left, *window, right, from, to),
         }
     }
 
-    fn compare(&self, comparison: &Comparison, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
-        let sign = if comparison.relation().wants_more() { 1.0 } else { -1.0 };
+    fn compare(&self, comparison: &LinearPredicate, from: usize, to: usize) -> Result<Vec<f64>, MonitorError> {
+        let sign = if comparison.operator().is_lower_bound() { 1.0 } else { -1.0 };
         let mut terms = Vec::with_capacity(comparison.terms().len());
         for (weight, name) in comparison.terms() {
             let samples = self.signals.get(name).and_then(|samples| samples.get(from..to));
@@ -133,8 +133,8 @@ impl Monitor<'_> {
         let mut values = buffer_pool::take();
         let mut any_undefined = false;
         // Piece by piece, so that a piece is in the nearest cache for all terms.
-        for start in (0..to - from).step_by(PIECE) {
-            values.resize((start + PIECE).min(to - from), 0.0);
+        for start in (0..to - from).step_by(CHUNK) {
+            values.resize((start + CHUNK).min(to - from), 0.0);
             let piece = &mut values[start..];
             for (weight, samples) in &terms {
                 piece.iter_mut().zip(&samples[start..]).for_each(|(value, &sample)| *value += weight * sample);
@@ -149,8 +149,8 @@ impl Monitor<'_> {
             let time_s = index as f64 * self.signals.step_s();
             return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
         }
-        if self.reading == Reading::Truth {
-            let strict = comparison.relation().is_strict();
+        if self.semantics == MonitorSemantics::Boolean {
+            let strict = comparison.operator().is_strict();
             let truth = |margin: f64| if margin > 0.0 || (margin == 0.0 && !strict) { 1.0 } else { -1.0 };
             values.iter_mut().for_each(|value| *value = truth(*value));
         }
@@ -174,21 +174,21 @@ impl Monitor<'_> {
 
     fn window<E: Extremum>(
         &self,
-        window: Interval,
+        window: TimeWindow,
         inner: &Formula,
         from: usize,
         to: usize,
     ) -> Result<Vec<f64>, MonitorError> {
-        let (first, last) = window.samples(self.signals.step_s())?;
-        let Some((inner_from, inner_to)) = self.reach(first, last, from, to) else {
-            return Ok(vec![E::OF_NONE; to - from]);
+        let (first, last) = window.sample_bounds(self.signals.step_s())?;
+        let Some((inner_from, inner_to)) = self.referenced_samples(first, last, from, to) else {
+            return Ok(vec![E::IDENTITY; to - from]);
         };
         let values = self.values(inner, inner_from, inner_to)?;
-        Ok(sliding::<E>(values, (last - first).saturating_add(1), to - from))
+        Ok(sliding_extremum::<E>(values, (last - first).saturating_add(1), to - from))
     }
 
     /// The samples that windows at `from..to` refer to, none if they all start after the end of the trace.
-    fn reach(&self, first: usize, last: usize, from: usize, to: usize) -> Option<(usize, usize)> {
+    fn referenced_samples(&self, first: usize, last: usize, from: usize, to: usize) -> Option<(usize, usize)> {
         let start = from.saturating_add(first);
         let end = to.saturating_add(last).min(self.signals.samples());
         (start < end).then_some((start, end))
@@ -201,31 +201,31 @@ impl Monitor<'_> {
     fn until(
         &self,
         left: &Formula,
-        window: Interval,
+        window: TimeWindow,
         right: &Formula,
         from: usize,
         to: usize,
     ) -> Result<Vec<f64>, MonitorError> {
-        let (first, last) = window.samples(self.signals.step_s())?;
-        let Some((start, end)) = self.reach(first, last, from, to) else {
-            return Ok(vec![Maximum::OF_NONE; to - from]);
+        let (first, last) = window.sample_bounds(self.signals.step_s())?;
+        let Some((start, end)) = self.referenced_samples(first, last, from, to) else {
+            return Ok(vec![Maximum::IDENTITY; to - from]);
         };
         let goal = self.values(right, start, end)?;
         // Nothing refers to the left side at the last sample.
         let path = self.values(left, from, end - 1)?;
-        let mut result = sliding::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
-        let before = if first == 0 { Vec::new() } else { sliding::<Minimum>(path.clone(), first, to - from) };
-        result.iter_mut().zip(&before).for_each(|(value, &held)| *value = Minimum::of(*value, held));
+        let mut result = sliding_extremum::<Maximum>(goal.clone(), (last - first).saturating_add(1), to - from);
+        let before = if first == 0 { Vec::new() } else { sliding_extremum::<Minimum>(path.clone(), first, to - from) };
+        result.iter_mut().zip(&before).for_each(|(value, &held)| *value = Minimum::combine(*value, held));
         // Unbounded until, from the last sample backwards: u(k) = max(q(k), min(p(k), u(k + 1))).
         let mut unbounded = goal;
-        let mut next = Maximum::OF_NONE;
-        let path = path.iter().copied().skip(first).chain([Minimum::OF_NONE]).collect::<Vec<_>>();
+        let mut next = Maximum::IDENTITY;
+        let path = path.iter().copied().skip(first).chain([Minimum::IDENTITY]).collect::<Vec<_>>();
         for (value, &held) in unbounded.iter_mut().zip(&path).rev() {
-            next = Maximum::of(*value, Minimum::of(held, next));
+            next = Maximum::combine(*value, Minimum::combine(held, next));
             *value = next;
         }
-        let reached = unbounded.into_iter().chain(std::iter::repeat(Maximum::OF_NONE));
-        result.iter_mut().zip(reached).for_each(|(value, reached)| *value = Minimum::of(*value, reached));
+        let reached = unbounded.into_iter().chain(std::iter::repeat(Maximum::IDENTITY));
+        result.iter_mut().zip(reached).for_each(|(value, reached)| *value = Minimum::combine(*value, reached));
         Ok(result)
     }
 }

@@ -1,14 +1,14 @@
 //! The signals of a simulated run.
 
-use super::{Signals, SignalsError};
-use crate::measure::approach::State;
+use super::{SampledSignals, SignalsError};
+use crate::measure::approach::PairState;
 use crate::measure::{drac_mps2, time_gap_s, time_headway_s, ttc_s};
 use crate::sim::Trace;
 
 /// What every vehicle has as a signal.
-const OWN: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
+const OWN_SIGNALS: [&str; 4] = ["position_m", "speed_mps", "accel_mps2", "jerk_mps3"];
 /// What every vehicle but the leader has, towards the one ahead.
-const AHEAD: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_gap_s", "drac_mps2"];
+const LEAD_SIGNALS: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_gap_s", "drac_mps2"];
 
 /// The names of all signals of a run of `vehicles` vehicles: `v0.speed_mps`, `v1.gap_m` and so on.
 ///
@@ -25,8 +25,8 @@ const AHEAD: [&str; 6] = ["gap_m", "closing_mps", "ttc_s", "headway_s", "time_ga
 #[must_use]
 pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
     let of = |i: usize| {
-        let ahead = if i > 0 { &AHEAD[..] } else { &[] };
-        OWN.iter().chain(ahead).map(move |name| format!("v{i}.{name}"))
+        let ahead = if i > 0 { &LEAD_SIGNALS[..] } else { &[] };
+        OWN_SIGNALS.iter().chain(ahead).map(move |name| format!("v{i}.{name}"))
     };
     (0..vehicles).flat_map(of).collect()
 }
@@ -35,8 +35,8 @@ pub fn motion_signal_names(vehicles: usize) -> Vec<String> {
 ///
 /// # Errors
 /// [`SignalsError`] if the trace is empty.
-pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Result<Signals<'a>, SignalsError> {
-    let mut signals = Signals::new(step_s, trace.len())?;
+pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Result<SampledSignals<'a>, SignalsError> {
+    let mut signals = SampledSignals::new(step_s, trace.len())?;
     for &name in names {
         let Some((vehicle, quantity)) = name.strip_prefix('v').and_then(|rest| rest.split_once('.')) else { continue };
         let Ok(index) = vehicle.parse::<usize>() else { continue };
@@ -53,13 +53,13 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
                 signals.insert(name.to_owned(), std::iter::once(0.0).chain(changes).collect::<Vec<f64>>())?;
             }
             other => {
-                let Some(of) = towards_ahead(other) else { continue };
+                let Some(of) = lead_quantity(other) else { continue };
                 if index == 0 {
                     continue;
                 }
-                let samples = trace.ahead(index).enumerate().map(|(sample, front)| {
+                let samples = trace.leaders(index).enumerate().map(|(sample, front)| {
                     let seen =
-                        front.and_then(|front| Some((front, State::at_sample(&trace.time_s, [front, track], sample)?)));
+                        front.and_then(|front| Some((front, PairState::from_sample(&trace.time_s, [front, track], sample)?)));
                     let Some((front, state)) = seen else { return of(f64::INFINITY, 0.0, 0.0, 0.0) };
                     // Vehicles that stick together have a gap of zero, whatever rounding says.
                     let gap_m = if state.gap_m.abs() < 1e-9 { 0.0 } else { state.gap_m };
@@ -73,9 +73,9 @@ pub fn motion_signals<'a>(trace: &'a Trace, step_s: f64, names: &[&str]) -> Resu
 }
 
 /// From gap, both speeds (ahead, own) and the length ahead to a quantity.
-type TowardsAhead = fn(f64, f64, f64, f64) -> f64;
+type LeadQuantity = fn(f64, f64, f64, f64) -> f64;
 
-fn towards_ahead(quantity: &str) -> Option<TowardsAhead> {
+fn lead_quantity(quantity: &str) -> Option<LeadQuantity> {
     Some(match quantity {
         "gap_m" => |gap_m, _, _, _| gap_m,
         "closing_mps" => |_, front, rear, _| rear - front,

@@ -2,9 +2,9 @@
 
 use std::cell::RefCell;
 
-use super::formula::{Formula, Interval};
+use super::formula::{Formula, TimeWindow};
 use super::monitor::MonitorError;
-use super::signals::Signals;
+use super::signals::SampledSignals;
 
 /// Robustness at sample `at`, by recursion over the definition; every window is searched from end to end.
 ///
@@ -13,40 +13,40 @@ use super::signals::Signals;
 ///
 /// # Errors
 /// As [`Formula::robustness`].
-pub fn naive_robustness(formula: &Formula, signals: &Signals<'_>, at: usize) -> Result<f64, MonitorError> {
-    Node::new(formula, signals.samples()).at(signals, at)
+pub fn naive_robustness(formula: &Formula, signals: &SampledSignals<'_>, at: usize) -> Result<f64, MonitorError> {
+    NaiveNode::new(formula, signals.samples()).value_at(signals, at)
 }
 
 /// A formula with the values found so far, so that no sample is evaluated twice.
-struct Node<'a> {
+struct NaiveNode<'a> {
     formula: &'a Formula,
-    inner: Vec<Node<'a>>,
-    known: RefCell<Vec<Option<f64>>>,
+    inner: Vec<NaiveNode<'a>>,
+    cache: RefCell<Vec<Option<f64>>>,
 }
 
-impl<'a> Node<'a> {
+impl<'a> NaiveNode<'a> {
     fn new(formula: &'a Formula, samples: usize) -> Self {
         let inner: Vec<&Formula> = match formula {
             Formula::Compare(_) => vec![],
             Formula::Not(a) | Formula::Always(_, a) | Formula::Eventually(_, a) => vec![a],
             Formula::And(a, b) | Formula::Or(a, b) | Formula::Implies(a, b) | Formula::Until(a, _, b) => vec![a, b],
         };
-        let inner = inner.into_iter().map(|formula| Node::new(formula, samples)).collect();
-        Self { formula, inner, known: RefCell::new(vec![None; samples]) }
+        let inner = inner.into_iter().map(|formula| NaiveNode::new(formula, samples)).collect();
+        Self { formula, inner, cache: RefCell::new(vec![None; samples]) }
     }
 
-    fn at(&self, signals: &Signals<'_>, k: usize) -> Result<f64, MonitorError> {
-        if let Some(value) = self.known.borrow().get(k).copied().flatten() {
+    fn value_at(&self, signals: &SampledSignals<'_>, k: usize) -> Result<f64, MonitorError> {
+        if let Some(value) = self.cache.borrow().get(k).copied().flatten() {
             return Ok(value);
         }
         let value = self.evaluate(signals, k)?;
-        if let Some(slot) = self.known.borrow_mut().get_mut(k) {
+        if let Some(slot) = self.cache.borrow_mut().get_mut(k) {
             *slot = Some(value);
         }
         Ok(value)
     }
 
-    fn evaluate(&self, signals: &Signals<'_>, k: usize) -> Result<f64, MonitorError> {
+    fn evaluate(&self, signals: &SampledSignals<'_>, k: usize) -> Result<f64, MonitorError> {
         match (self.formula, self.inner.as_slice()) {
             (Formula::Compare(comparison), _) => {
                 let mut sum = 0.0;
@@ -62,17 +62,17 @@ impl<'a> Node<'a> {
                     let time_s = k as f64 * signals.step_s();
                     return Err(MonitorError::Undefined { comparison: comparison.to_string(), time_s });
                 }
-                Ok(if comparison.relation().wants_more() { more } else { -more })
+                Ok(if comparison.operator().is_lower_bound() { more } else { -more })
             }
-            (Formula::Not(_), [a]) => Ok(-a.at(signals, k)?),
-            (Formula::And(..), [a, b]) => Ok(a.at(signals, k)?.min(b.at(signals, k)?)),
-            (Formula::Or(..), [a, b]) => Ok(a.at(signals, k)?.max(b.at(signals, k)?)),
-            (Formula::Implies(..), [a, b]) => Ok((-a.at(signals, k)?).max(b.at(signals, k)?)),
+            (Formula::Not(_), [a]) => Ok(-a.value_at(signals, k)?),
+            (Formula::And(..), [a, b]) => Ok(a.value_at(signals, k)?.min(b.value_at(signals, k)?)),
+            (Formula::Or(..), [a, b]) => Ok(a.value_at(signals, k)?.max(b.value_at(signals, k)?)),
+            (Formula::Implies(..), [a, b]) => Ok((-a.value_at(signals, k)?).max(b.value_at(signals, k)?)),
             (Formula::Always(window, _), [a]) => {
-                samples(*window, signals, k)?.try_fold(f64::INFINITY, |least, j| Ok(least.min(a.at(signals, j)?)))
+                samples(*window, signals, k)?.try_fold(f64::INFINITY, |least, j| Ok(least.min(a.value_at(signals, j)?)))
             }
             (Formula::Eventually(window, _), [a]) => {
-                samples(*window, signals, k)?.try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.at(signals, j)?)))
+                samples(*window, signals, k)?.try_fold(f64::NEG_INFINITY, |most, j| Ok(most.max(a.value_at(signals, j)?)))
             }
             (Formula::Until(_, window, _), [a, b]) => {
                 let mut best = f64::NEG_INFINITY;
@@ -80,10 +80,10 @@ impl<'a> Node<'a> {
                 let mut reached = k;
                 for j in samples(*window, signals, k)? {
                     while reached < j {
-                        held = held.min(a.at(signals, reached)?);
+                        held = held.min(a.value_at(signals, reached)?);
                         reached += 1;
                     }
-                    best = best.max(b.at(signals, j)?.min(held));
+                    best = best.max(b.value_at(signals, j)?.min(held));
                 }
                 Ok(best)
             }
@@ -93,7 +93,7 @@ impl<'a> Node<'a> {
 }
 
 /// The samples of a window at sample `k`, without those past the end.
-fn samples(window: Interval, signals: &Signals<'_>, k: usize) -> Result<impl Iterator<Item = usize>, MonitorError> {
-    let (first, last) = window.samples(signals.step_s())?;
+fn samples(window: TimeWindow, signals: &SampledSignals<'_>, k: usize) -> Result<impl Iterator<Item = usize>, MonitorError> {
+    let (first, last) = window.sample_bounds(signals.step_s())?;
     Ok((k.saturating_add(first)..signals.samples()).take_while(move |j| j - k <= last))
 }

@@ -2,13 +2,13 @@
 
 use std::str::FromStr;
 
-use super::formula::{Comparison, Formula, FormulaError, Interval, Relation};
-use super::lex::{Symbol, Token, tokens};
+use super::formula::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
+use super::lex::{Symbol, Token, tokenize};
 
 /// Why a text is not a formula, and where.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("column {column}: {problem}")]
-pub struct ParseError {
+pub struct FormulaParseError {
     /// Where, counted in characters from 1.
     pub column: usize,
     /// What is wrong.
@@ -83,10 +83,10 @@ const MAX_TOKENS: usize = 4000;
 const MAX_PARENTHESES: usize = 2 * MAX_TOKENS;
 
 impl FromStr for Formula {
-    type Err = ParseError;
+    type Err = FormulaParseError;
 
-    fn from_str(text: &str) -> Result<Self, ParseError> {
-        let tokens = tokens(text)?;
+    fn from_str(text: &str) -> Result<Self, FormulaParseError> {
+        let tokens = tokenize(text)?;
         let (mut others, mut parentheses) = (0, 0);
         for (column, token) in &tokens {
             match token {
@@ -95,15 +95,15 @@ impl FromStr for Formula {
             }
             if others > MAX_TOKENS || parentheses > MAX_PARENTHESES {
                 let what = "words and signs, or more than twice as many parentheses";
-                return Err(ParseError {
+                return Err(FormulaParseError {
                     column: *column,
                     problem: SyntaxProblem::TooLong { limit: MAX_TOKENS, what },
                 });
             }
         }
         let mut parser = Parser { tokens: &tokens, next: 0, depth: 0, operand_at: None };
-        let whole = parser.implies()?;
-        let formula = parser.formula(whole)?;
+        let whole = parser.parse_implies()?;
+        let formula = parser.finish_formula(whole)?;
         parser.expect_end()?;
         Ok(formula)
     }
@@ -113,33 +113,33 @@ impl FromStr for Formula {
 #[must_use]
 pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
     let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
-    tokens(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
+    tokenize(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
 }
 
 /// A part of the text that was understood, and where it starts.
-struct Part {
+struct ParsedExpr {
     column: usize,
-    meaning: Meaning,
+    kind: ExprKind,
 }
 
-enum Meaning {
+enum ExprKind {
     Formula(Formula),
     /// A sum of weighted signals and a constant.
     Sum(Vec<(f64, String)>, f64),
 }
 
-impl Part {
-    fn formula(self) -> Result<Formula, ParseError> {
-        match self.meaning {
-            Meaning::Formula(formula) => Ok(formula),
-            Meaning::Sum(..) => Err(ParseError { column: self.column, problem: SyntaxProblem::SumNotFormula }),
+impl ParsedExpr {
+    fn into_formula(self) -> Result<Formula, FormulaParseError> {
+        match self.kind {
+            ExprKind::Formula(formula) => Ok(formula),
+            ExprKind::Sum(..) => Err(FormulaParseError { column: self.column, problem: SyntaxProblem::SumNotFormula }),
         }
     }
 
-    fn sum(self) -> Result<(Vec<(f64, String)>, f64), ParseError> {
-        match self.meaning {
-            Meaning::Sum(terms, constant) => Ok((terms, constant)),
-            Meaning::Formula(_) => Err(ParseError { column: self.column, problem: SyntaxProblem::FormulaNotSum }),
+    fn into_sum(self) -> Result<(Vec<(f64, String)>, f64), FormulaParseError> {
+        match self.kind {
+            ExprKind::Sum(terms, constant) => Ok((terms, constant)),
+            ExprKind::Formula(_) => Err(FormulaParseError { column: self.column, problem: SyntaxProblem::FormulaNotSum }),
         }
     }
 }
@@ -157,19 +157,19 @@ impl Parser<'_> {
         self.tokens.get(self.next).or(self.tokens.last()).map_or((1, &Token::End), |(column, token)| (*column, token))
     }
 
-    fn take(&mut self, symbol: Symbol) -> bool {
+    fn eat(&mut self, symbol: Symbol) -> bool {
         let found = *self.peek().1 == Token::Symbol(symbol);
         self.next += usize::from(found);
         found
     }
 
-    fn expected<T>(&self, expected: &'static str) -> Result<T, ParseError> {
+    fn fail_expected<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
         let (column, token) = self.peek();
-        Err(ParseError { column, problem: SyntaxProblem::Expected { expected, found: token.to_string() } })
+        Err(FormulaParseError { column, problem: SyntaxProblem::Expected { expected, found: token.to_string() } })
     }
 
     /// Returns the error about a token that stands where only an operator, a parenthesis or the end can.
-    fn expected_operator<T>(&self, expected: &'static str) -> Result<T, ParseError> {
+    fn fail_expected_operator<T>(&self, expected: &'static str) -> Result<T, FormulaParseError> {
         let token = |index: usize| self.tokens.get(index).map(|(_, token)| token);
         let begins_operand = match self.next.checked_sub(2).and_then(token) {
             Some(Token::Symbol(symbol)) => symbol.precedes_formula(),
@@ -188,112 +188,112 @@ impl Parser<'_> {
         let word = if is_before { self.next.checked_sub(1) } else { Some(self.next) };
         match word.and_then(|index| self.tokens.get(index)) {
             Some((column, Token::Name(word))) => {
-                Err(ParseError { column: *column, problem: SyntaxProblem::UnknownOperator { word: word.clone() } })
+                Err(FormulaParseError { column: *column, problem: SyntaxProblem::UnknownOperator { word: word.clone() } })
             }
-            _ => self.expected(expected),
+            _ => self.fail_expected(expected),
         }
     }
 
-    fn expect(&mut self, symbol: Symbol, expected: &'static str) -> Result<(), ParseError> {
-        if self.take(symbol) { Ok(()) } else { self.expected(expected) }
+    fn expect(&mut self, symbol: Symbol, expected: &'static str) -> Result<(), FormulaParseError> {
+        if self.eat(symbol) { Ok(()) } else { self.fail_expected(expected) }
     }
 
-    fn expect_end(&self) -> Result<(), ParseError> {
-        if *self.peek().1 == Token::End { Ok(()) } else { self.expected_operator("an operator or the end") }
+    fn expect_end(&self) -> Result<(), FormulaParseError> {
+        if *self.peek().1 == Token::End { Ok(()) } else { self.fail_expected_operator("an operator or the end") }
     }
 
-    fn implies(&mut self) -> Result<Part, ParseError> {
+    fn parse_implies(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         // Right-associative without recursion: collect the chain, then fold it from its end.
-        let mut chain = vec![self.or()?];
-        while self.take(Symbol::Implies) {
-            chain.push(self.or()?);
+        let mut chain = vec![self.parse_or()?];
+        while self.eat(Symbol::Implies) {
+            chain.push(self.parse_or()?);
         }
         let mut parts = chain.into_iter().rev();
-        let Some(mut whole) = parts.next() else { return self.expected("a formula") };
+        let Some(mut whole) = parts.next() else { return self.fail_expected("a formula") };
         for part in parts {
             let column = part.column;
-            let meaning = Formula::Implies(Box::new(part.formula()?), Box::new(whole.formula()?));
-            whole = Part { column, meaning: Meaning::Formula(meaning) };
+            let meaning = Formula::Implies(Box::new(part.into_formula()?), Box::new(whole.into_formula()?));
+            whole = ParsedExpr { column, kind: ExprKind::Formula(meaning) };
         }
         Ok(whole)
     }
 
-    fn or(&mut self) -> Result<Part, ParseError> {
-        self.chain(Symbol::Or, Self::and, |left, right| Formula::Or(Box::new(left), Box::new(right)))
+    fn parse_or(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        self.parse_chain(Symbol::Or, Self::parse_and, |left, right| Formula::Or(Box::new(left), Box::new(right)))
     }
 
-    fn and(&mut self) -> Result<Part, ParseError> {
-        self.chain(Symbol::And, Self::until, |left, right| Formula::And(Box::new(left), Box::new(right)))
+    fn parse_and(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        self.parse_chain(Symbol::And, Self::parse_until, |left, right| Formula::And(Box::new(left), Box::new(right)))
     }
 
-    fn chain(
+    fn parse_chain(
         &mut self,
         symbol: Symbol,
-        operand: fn(&mut Self) -> Result<Part, ParseError>,
+        operand: fn(&mut Self) -> Result<ParsedExpr, FormulaParseError>,
         join: fn(Formula, Formula) -> Formula,
-    ) -> Result<Part, ParseError> {
+    ) -> Result<ParsedExpr, FormulaParseError> {
         let mut whole = operand(self)?;
-        while self.take(symbol) {
+        while self.eat(symbol) {
             let column = whole.column;
-            let joined = join(whole.formula()?, operand(self)?.formula()?);
-            whole = Part { column, meaning: Meaning::Formula(joined) };
+            let joined = join(whole.into_formula()?, operand(self)?.into_formula()?);
+            whole = ParsedExpr { column, kind: ExprKind::Formula(joined) };
         }
         Ok(whole)
     }
 
-    fn until(&mut self) -> Result<Part, ParseError> {
-        let left = self.unary()?;
-        if !self.take(Symbol::Until) {
+    fn parse_until(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        let left = self.parse_unary()?;
+        if !self.eat(Symbol::Until) {
             return Ok(left);
         }
         let column = left.column;
-        let window = self.window()?;
-        let right = self.unary()?.formula()?;
+        let window = self.parse_window()?;
+        let right = self.parse_unary()?.into_formula()?;
         self.refuse_another(&[Symbol::Until])?;
-        let until = Formula::Until(Box::new(left.formula()?), window, Box::new(right));
-        Ok(Part { column, meaning: Meaning::Formula(until) })
+        let until = Formula::Until(Box::new(left.into_formula()?), window, Box::new(right));
+        Ok(ParsedExpr { column, kind: ExprKind::Formula(until) })
     }
 
-    fn unary(&mut self) -> Result<Part, ParseError> {
+    fn parse_unary(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         let column = self.peek().0;
-        let formula = if self.take(Symbol::Not) {
-            Formula::Not(Box::new(self.operand()?))
-        } else if self.take(Symbol::Always) {
-            let window = self.window()?;
-            Formula::Always(window, Box::new(self.operand()?))
-        } else if self.take(Symbol::Eventually) {
-            let window = self.window()?;
-            Formula::Eventually(window, Box::new(self.operand()?))
+        let formula = if self.eat(Symbol::Not) {
+            Formula::Not(Box::new(self.parse_operand()?))
+        } else if self.eat(Symbol::Always) {
+            let window = self.parse_window()?;
+            Formula::Always(window, Box::new(self.parse_operand()?))
+        } else if self.eat(Symbol::Eventually) {
+            let window = self.parse_window()?;
+            Formula::Eventually(window, Box::new(self.parse_operand()?))
         } else {
-            return self.comparison();
+            return self.parse_comparison();
         };
-        Ok(Part { column, meaning: Meaning::Formula(formula) })
+        Ok(ParsedExpr { column, kind: ExprKind::Formula(formula) })
     }
 
     /// Parses the operand of a unary operator.
-    fn operand(&mut self) -> Result<Formula, ParseError> {
+    fn parse_operand(&mut self) -> Result<Formula, FormulaParseError> {
         self.operand_at = Some(self.next);
-        let operand = self.nested(Self::unary)?;
-        self.formula(operand)
+        let operand = self.parse_nested(Self::parse_unary)?;
+        self.finish_formula(operand)
     }
 
     /// Returns the formula that has been parsed. A lone signal before another operand was meant as an operator.
-    fn formula(&self, part: Part) -> Result<Formula, ParseError> {
+    fn finish_formula(&self, part: ParsedExpr) -> Result<Formula, FormulaParseError> {
         let precedes_operand = match self.peek().1 {
             Token::Name(_) => true,
             Token::Symbol(symbol) => symbol.begins_operand(),
             Token::Number(_) | Token::End => false,
         };
-        match part.meaning {
-            Meaning::Sum(..) if precedes_operand => self.expected_operator("an operator"),
-            _ => part.formula(),
+        match part.kind {
+            ExprKind::Sum(..) if precedes_operand => self.fail_expected_operator("an operator"),
+            _ => part.into_formula(),
         }
     }
 
-    fn nested(&mut self, inner: fn(&mut Self) -> Result<Part, ParseError>) -> Result<Part, ParseError> {
+    fn parse_nested(&mut self, inner: fn(&mut Self) -> Result<ParsedExpr, FormulaParseError>) -> Result<ParsedExpr, FormulaParseError> {
         if self.depth == MAX_DEPTH {
             let problem = SyntaxProblem::TooLong { limit: MAX_DEPTH, what: "nested operators and parentheses" };
-            return Err(ParseError { column: self.peek().0, problem });
+            return Err(FormulaParseError { column: self.peek().0, problem });
         }
         self.depth += 1;
         let part = inner(self);
@@ -301,91 +301,91 @@ impl Parser<'_> {
         part
     }
 
-    fn window(&mut self) -> Result<Interval, ParseError> {
+    fn parse_window(&mut self) -> Result<TimeWindow, FormulaParseError> {
         let column = self.peek().0;
-        if !self.take(Symbol::WindowOpen) {
-            return Ok(Interval::ALL);
+        if !self.eat(Symbol::WindowOpen) {
+            return Ok(TimeWindow::ALL);
         }
-        let from_s = self.seconds()?;
+        let from_s = self.parse_seconds()?;
         self.expect(Symbol::Comma, "`,`")?;
-        let to_s = if self.take(Symbol::Infinity) { f64::INFINITY } else { self.seconds()? };
+        let to_s = if self.eat(Symbol::Infinity) { f64::INFINITY } else { self.parse_seconds()? };
         self.expect(Symbol::WindowClose, "`]`")?;
-        Interval::new(from_s, to_s).map_err(|error| ParseError { column, problem: error.into() })
+        TimeWindow::new(from_s, to_s).map_err(|error| FormulaParseError { column, problem: error.into() })
     }
 
-    fn seconds(&mut self) -> Result<f64, ParseError> {
+    fn parse_seconds(&mut self) -> Result<f64, FormulaParseError> {
         match self.peek().1 {
             &Token::Number(seconds) => {
                 self.next += 1;
                 Ok(seconds)
             }
-            _ => self.expected("a number of seconds, not negative"),
+            _ => self.fail_expected("a number of seconds, not negative"),
         }
     }
 
-    fn comparison(&mut self) -> Result<Part, ParseError> {
-        let left = self.sum()?;
-        let Some(relation) = self.relation() else { return Ok(left) };
+    fn parse_comparison(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        let left = self.parse_sum()?;
+        let Some(relation) = self.parse_comparison_op() else { return Ok(left) };
         let column = left.column;
-        let right = self.sum()?;
+        let right = self.parse_sum()?;
         self.refuse_another(&[Symbol::Below, Symbol::AtMost, Symbol::Above, Symbol::AtLeast])?;
-        let (mut terms, left_constant) = left.sum()?;
-        let (subtracted, right_constant) = right.sum()?;
+        let (mut terms, left_constant) = left.into_sum()?;
+        let (subtracted, right_constant) = right.into_sum()?;
         terms.extend(subtracted.into_iter().map(|(weight, name)| (-weight, name)));
-        let comparison = Comparison::new(terms, relation, right_constant - left_constant)
-            .map_err(|error| ParseError { column, problem: error.into() })?;
-        Ok(Part { column, meaning: Meaning::Formula(Formula::Compare(comparison)) })
+        let comparison = LinearPredicate::new(terms, relation, right_constant - left_constant)
+            .map_err(|error| FormulaParseError { column, problem: error.into() })?;
+        Ok(ParsedExpr { column, kind: ExprKind::Formula(Formula::Compare(comparison)) })
     }
 
-    fn relation(&mut self) -> Option<Relation> {
+    fn parse_comparison_op(&mut self) -> Option<ComparisonOp> {
         [
-            (Symbol::Below, Relation::Below),
-            (Symbol::AtMost, Relation::AtMost),
-            (Symbol::Above, Relation::Above),
-            (Symbol::AtLeast, Relation::AtLeast),
+            (Symbol::Below, ComparisonOp::Below),
+            (Symbol::AtMost, ComparisonOp::AtMost),
+            (Symbol::Above, ComparisonOp::Above),
+            (Symbol::AtLeast, ComparisonOp::AtLeast),
         ]
         .into_iter()
-        .find_map(|(symbol, relation)| self.take(symbol).then_some(relation))
+        .find_map(|(symbol, relation)| self.eat(symbol).then_some(relation))
     }
 
-    fn refuse_another(&self, symbols: &[Symbol]) -> Result<(), ParseError> {
+    fn refuse_another(&self, symbols: &[Symbol]) -> Result<(), FormulaParseError> {
         match self.peek() {
             (column, Token::Symbol(symbol)) if symbols.contains(symbol) => {
-                Err(ParseError { column, problem: SyntaxProblem::Chained })
+                Err(FormulaParseError { column, problem: SyntaxProblem::Chained })
             }
             _ => Ok(()),
         }
     }
 
-    fn sum(&mut self) -> Result<Part, ParseError> {
-        let mut whole = self.product()?;
+    fn parse_sum(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        let mut whole = self.parse_product()?;
         loop {
-            let sign = if self.take(Symbol::Plus) {
+            let sign = if self.eat(Symbol::Plus) {
                 1.0
-            } else if self.take(Symbol::Minus) {
+            } else if self.eat(Symbol::Minus) {
                 -1.0
             } else {
                 return Ok(whole);
             };
             let column = whole.column;
-            let (mut terms, constant) = whole.sum()?;
-            let (added, more) = self.product()?.sum()?;
+            let (mut terms, constant) = whole.into_sum()?;
+            let (added, more) = self.parse_product()?.into_sum()?;
             terms.extend(added.into_iter().map(|(weight, name)| (sign * weight, name)));
-            whole = Part { column, meaning: Meaning::Sum(terms, constant + sign * more) };
+            whole = ParsedExpr { column, kind: ExprKind::Sum(terms, constant + sign * more) };
         }
     }
 
-    fn product(&mut self) -> Result<Part, ParseError> {
-        let mut whole = self.factor()?;
+    fn parse_product(&mut self) -> Result<ParsedExpr, FormulaParseError> {
+        let mut whole = self.parse_factor()?;
         loop {
-            let divides = self.take(Symbol::Over);
-            if !divides && !self.take(Symbol::Times) {
+            let divides = self.eat(Symbol::Over);
+            if !divides && !self.eat(Symbol::Times) {
                 return Ok(whole);
             }
-            let Part { column, .. } = whole;
+            let ParsedExpr { column, .. } = whole;
             let right_column = self.peek().0;
-            let not_affine = ParseError { column: right_column, problem: SyntaxProblem::NotAffine };
-            let (left, right) = (whole.sum()?, self.factor()?.sum()?);
+            let not_affine = FormulaParseError { column: right_column, problem: SyntaxProblem::NotAffine };
+            let (left, right) = (whole.into_sum()?, self.parse_factor()?.into_sum()?);
             let ((terms, constant), number) = match (left, right) {
                 (sum, (none, number)) if none.is_empty() => (sum, number),
                 ((none, number), sum) if none.is_empty() && !divides => (sum, number),
@@ -393,33 +393,33 @@ impl Parser<'_> {
             };
             let scaled = |x: f64| if divides { x / number } else { x * number };
             let terms = terms.into_iter().map(|(weight, name)| (scaled(weight), name)).collect();
-            whole = Part { column, meaning: Meaning::Sum(terms, scaled(constant)) };
+            whole = ParsedExpr { column, kind: ExprKind::Sum(terms, scaled(constant)) };
         }
     }
 
-    fn factor(&mut self) -> Result<Part, ParseError> {
+    fn parse_factor(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         let (column, token) = self.peek();
         let meaning = match token {
-            Token::Number(number) => Meaning::Sum(Vec::new(), *number),
-            Token::Name(name) => Meaning::Sum(vec![(1.0, name.clone())], 0.0),
+            Token::Number(number) => ExprKind::Sum(Vec::new(), *number),
+            Token::Name(name) => ExprKind::Sum(vec![(1.0, name.clone())], 0.0),
             Token::Symbol(Symbol::Minus) => {
                 self.next += 1;
-                let (terms, constant) = self.nested(Self::factor)?.sum()?;
+                let (terms, constant) = self.parse_nested(Self::parse_factor)?.into_sum()?;
                 let terms = terms.into_iter().map(|(weight, name)| (-weight, name)).collect();
-                return Ok(Part { column, meaning: Meaning::Sum(terms, -constant) });
+                return Ok(ParsedExpr { column, kind: ExprKind::Sum(terms, -constant) });
             }
             Token::Symbol(Symbol::Open) => {
                 let is_operand = self.operand_at == Some(self.next);
                 self.next += 1;
-                let part = if is_operand { self.implies()? } else { self.nested(Self::implies)? };
-                if !self.take(Symbol::Close) {
-                    return self.expected_operator("an operator or `)`");
+                let part = if is_operand { self.parse_implies()? } else { self.parse_nested(Self::parse_implies)? };
+                if !self.eat(Symbol::Close) {
+                    return self.fail_expected_operator("an operator or `)`");
                 }
-                return Ok(Part { column, meaning: part.meaning });
+                return Ok(ParsedExpr { column, kind: part.kind });
             }
-            _ => return self.expected("a formula, a signal or a number"),
+            _ => return self.fail_expected("a formula, a signal or a number"),
         };
         self.next += 1;
-        Ok(Part { column, meaning })
+        Ok(ParsedExpr { column, kind: meaning })
     }
 }

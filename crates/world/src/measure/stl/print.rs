@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::formula::{Comparison, Formula, Interval};
+use super::formula::{LinearPredicate, Formula, TimeWindow};
 
 /// An operand, in parentheses whatever it is: a reader need not know which operator binds tighter.
 struct Operand<'a>(&'a Formula);
@@ -39,13 +39,13 @@ impl fmt::Display for Formula {
     }
 }
 
-impl fmt::Display for Interval {
+impl fmt::Display for TimeWindow {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         if *self == Self::ALL { Ok(()) } else { write!(out, "[{},{}]", self.from_s(), self.to_s()) }
     }
 }
 
-impl fmt::Display for Comparison {
+impl fmt::Display for LinearPredicate {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (position, (weight, name)) in self.terms().iter().enumerate() {
             let sign = match (position, *weight < 0.0) {
@@ -59,7 +59,7 @@ impl fmt::Display for Comparison {
                 size => write!(out, "{sign}{size} * {name}")?,
             }
         }
-        write!(out, " {} {}", self.relation(), self.bound())
+        write!(out, " {} {}", self.operator(), self.bound())
     }
 }
 
@@ -71,7 +71,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn comparison() -> impl Strategy<Value = Formula> {
-        let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::NORMAL];
+        let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::DEFAULT_CASES];
         let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
         let relation =
             prop_oneof![Just(Relation::Below), Just(Relation::AtMost), Just(Relation::Above), Just(Relation::AtLeast)];

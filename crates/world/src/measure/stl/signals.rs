@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 /// Signals by name, all sampled at the same instants: sample k at `k * step_s`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Signals<'a> {
+pub struct SampledSignals<'a> {
     step_s: f64,
     samples: usize,
-    named: Vec<(Cow<'a, str>, Cow<'a, [f64]>)>,
+    entries: Vec<(Cow<'a, str>, Cow<'a, [f64]>)>,
 }
 
 /// Why signals cannot be collected.
@@ -43,13 +43,13 @@ pub enum SignalsError {
     },
     /// A name used twice.
     #[error("there is a signal `{name}` already")]
-    Twice {
+    DuplicateName {
         /// The name.
         name: String,
     },
 }
 
-impl<'a> Signals<'a> {
+impl<'a> SampledSignals<'a> {
     /// No signals yet, for `samples` samples `step_s` seconds apart.
     ///
     /// # Errors
@@ -61,7 +61,7 @@ impl<'a> Signals<'a> {
         if samples == 0 {
             return Err(SignalsError::Empty);
         }
-        Ok(Self { step_s, samples, named: Vec::new() })
+        Ok(Self { step_s, samples, entries: Vec::new() })
     }
 
     /// Adds a signal, borrowed or owned.
@@ -75,7 +75,7 @@ impl<'a> Signals<'a> {
     ) -> Result<(), SignalsError> {
         let (name, samples) = (name.into(), samples.into());
         if self.get(&name).is_some() {
-            return Err(SignalsError::Twice { name: name.into_owned() });
+            return Err(SignalsError::DuplicateName { name: name.into_owned() });
         }
         if samples.len() != self.samples {
             let (found, expected) = (samples.len(), self.samples);
@@ -84,19 +84,19 @@ impl<'a> Signals<'a> {
         if let Some(index) = samples.iter().position(|x| x.is_nan()) {
             return Err(SignalsError::NotANumber { name: name.into_owned(), index });
         }
-        self.named.push((name, samples));
+        self.entries.push((name, samples));
         Ok(())
     }
 
     /// The samples of a signal.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&[f64]> {
-        self.named.iter().find(|(known, _)| known == name).map(|(_, samples)| samples.as_ref())
+        self.entries.iter().find(|(known, _)| known == name).map(|(_, samples)| samples.as_ref())
     }
 
     /// The names, in the order they were added.
     pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.named.iter().map(|(name, _)| name.as_ref())
+        self.entries.iter().map(|(name, _)| name.as_ref())
     }
 
     /// Time between samples in seconds.

@@ -8,8 +8,8 @@
 /// Which of the two is sought.
 pub(super) trait Extremum: Copy {
     /// Of no values at all.
-    const OF_NONE: f64;
-    fn of(a: f64, b: f64) -> f64;
+    const IDENTITY: f64;
+    fn combine(a: f64, b: f64) -> f64;
 }
 
 #[derive(Clone, Copy)]
@@ -20,24 +20,24 @@ pub(super) struct Maximum;
 
 // Compared by hand, since `f64::min` and `f64::max` spend time on NaN, of which there is none here.
 impl Extremum for Minimum {
-    const OF_NONE: f64 = f64::INFINITY;
+    const IDENTITY: f64 = f64::INFINITY;
     #[inline(always)]
-    fn of(a: f64, b: f64) -> f64 {
+    fn combine(a: f64, b: f64) -> f64 {
         if a < b { a } else { b }
     }
 }
 
 impl Extremum for Maximum {
-    const OF_NONE: f64 = f64::NEG_INFINITY;
+    const IDENTITY: f64 = f64::NEG_INFINITY;
     #[inline(always)]
-    fn of(a: f64, b: f64) -> f64 {
+    fn combine(a: f64, b: f64) -> f64 {
         if a > b { a } else { b }
     }
 }
 
 /// For each of the first `outputs` positions the extremum of the `width` values from there on, fewer at the end. The result
 /// takes the values' place.
-pub(super) fn sliding<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
+pub(super) fn sliding_extremum<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
     let windows = outputs.min(values.len());
     match (width, windows) {
         (0, _) | (_, 0) => values.clear(),
@@ -48,33 +48,33 @@ pub(super) fn sliding<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: 
             values.push(first);
         }
         _ => {
-            blocks::<E>(&mut values, width);
+            scan_blocks::<E>(&mut values, width);
             values.truncate(windows);
         }
     }
-    values.resize(outputs, E::OF_NONE);
+    values.resize(outputs, E::IDENTITY);
     values
 }
 
-fn blocks<E: Extremum>(values: &mut [f64], width: usize) {
+fn scan_blocks<E: Extremum>(values: &mut [f64], width: usize) {
     let mut rest = values;
     while !rest.is_empty() {
         let (block, later) = rest.split_at_mut(width.min(rest.len()));
-        let mut end = E::OF_NONE;
+        let mut end = E::IDENTITY;
         for slot in block.iter_mut().rev() {
-            end = E::of(end, *slot);
+            end = E::combine(end, *slot);
             *slot = end;
         }
         // A window that starts inside a block ends inside the next one: the window at offset o takes its first o values,
         // which are still there.
-        let mut start = E::OF_NONE;
+        let mut start = E::IDENTITY;
         let mut slots = block.iter_mut().skip(1);
         for (&value, slot) in later.iter().zip(slots.by_ref()) {
-            start = E::of(start, value);
-            *slot = E::of(*slot, start);
+            start = E::combine(start, value);
+            *slot = E::combine(*slot, start);
         }
         // The next block may be shorter: windows that reach past it are clipped.
-        slots.for_each(|slot| *slot = E::of(*slot, start));
+        slots.for_each(|slot| *slot = E::combine(*slot, start));
         rest = later;
     }
 }
@@ -82,13 +82,13 @@ fn blocks<E: Extremum>(values: &mut [f64], width: usize) {
 /// The extremum of all, in lanes that do not wait for one another.
 fn extremum<E: Extremum>(values: &[f64]) -> f64 {
     let (groups, rest) = values.as_chunks::<16>();
-    let mut lanes = [E::OF_NONE; 16];
+    let mut lanes = [E::IDENTITY; 16];
     for group in groups {
         for (lane, &value) in lanes.iter_mut().zip(group) {
-            *lane = E::of(*lane, value);
+            *lane = E::combine(*lane, value);
         }
     }
-    lanes.iter().chain(rest).fold(E::OF_NONE, |all, &value| E::of(all, value))
+    lanes.iter().chain(rest).fold(E::IDENTITY, |all, &value| E::combine(all, value))
 }
 
 #[cfg(test)]

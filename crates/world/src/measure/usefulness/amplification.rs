@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use crate::sim::Trace;
 
 /// A line drives at one speed if no vehicle is further off that of the leader than this, in m/s: 0.5.
-pub const SETTLED_MPS: f64 = 0.5;
+pub const SETTLED_TOLERANCE_MPS: f64 = 0.5;
 
 /// A smaller deviation is noise, in m/s: 0.1.
-pub const LEAST_DEVIATION_MPS: f64 = 0.1;
+pub const MIN_DEVIATION_MPS: f64 = 0.1;
 
 /// How much of the leader's change of speed arrives further back: ratios of the largest deviations from the speed at which
 /// the line drove before.
@@ -25,7 +25,7 @@ pub const LEAST_DEVIATION_MPS: f64 = 0.1;
 #[serde(deny_unknown_fields)]
 pub struct SpeedAmplification {
     /// For each vehicle but the leader, how much larger its deviation is than that of the one ahead; none where that is below
-    /// [`LEAST_DEVIATION_MPS`].
+    /// [`MIN_DEVIATION_MPS`].
     pub of_each: Vec<Option<f64>>,
     /// From the leader to the last.
     pub overall: f64,
@@ -34,10 +34,10 @@ pub struct SpeedAmplification {
 impl SpeedAmplification {
     /// How a disturbance that begins at `from_s` seconds goes through the line.
     ///
-    /// None if the vehicles do not drive at one speed then ([`SETTLED_MPS`]): what would be measured is how they settle. None
+    /// None if the vehicles do not drive at one speed then ([`SETTLED_TOLERANCE_MPS`]): what would be measured is how they settle. None
     /// if the leader keeps its speed, too.
     #[must_use]
-    pub fn of(trace: &Trace, from_s: f64) -> Option<Self> {
+    pub fn from_trace(trace: &Trace, from_s: f64) -> Option<Self> {
         let start = trace.time_s.iter().position(|&time_s| time_s >= from_s)?;
         let speeds = trace.vehicles.iter().map(|track| track.speed_mps.get(start..)).collect::<Option<Vec<_>>>()?;
         let initial_mps = *speeds.first()?.first()?;
@@ -45,12 +45,12 @@ impl SpeedAmplification {
         for speeds in speeds {
             let own_mps = *speeds.first()?;
             let off_mps = (own_mps - initial_mps).abs();
-            if off_mps > SETTLED_MPS || off_mps.is_nan() {
+            if off_mps > SETTLED_TOLERANCE_MPS || off_mps.is_nan() {
                 return None;
             }
             deviations_mps.push(speeds.iter().map(|speed_mps| (speed_mps - own_mps).abs()).fold(0.0, f64::max));
         }
-        let ratio = |of: f64, to: f64| (to >= LEAST_DEVIATION_MPS).then_some(of / to);
+        let ratio = |of: f64, to: f64| (to >= MIN_DEVIATION_MPS).then_some(of / to);
         let pairs = deviations_mps.iter().zip(deviations_mps.iter().skip(1));
         let of_each = pairs.map(|(&ahead_mps, &own_mps)| ratio(own_mps, ahead_mps)).collect();
         Some(Self { of_each, overall: ratio(*deviations_mps.last()?, *deviations_mps.first()?)? })
@@ -58,7 +58,7 @@ impl SpeedAmplification {
 
     /// Whether the disturbance grew anywhere along the line.
     #[must_use]
-    pub fn grows(&self) -> bool {
+    pub fn has_amplification(&self) -> bool {
         self.of_each.iter().flatten().any(|&ratio| ratio > 1.0)
     }
 }

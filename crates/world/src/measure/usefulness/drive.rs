@@ -1,24 +1,24 @@
 //! A vehicle's drive, step by step, until something happens to it.
 
-use crate::measure::approach::State;
+use crate::measure::approach::PairState;
 use crate::measure::severity::impacts_of;
-use crate::sim::{Impact, SAME_INSTANT_S, Trace};
+use crate::sim::{Impact, TIME_TOLERANCE_S, Trace};
 
 /// One step of a drive.
 #[derive(Clone, Copy)]
-pub(super) struct Step {
+pub(super) struct DriveStep {
     pub(super) time_s: f64,
     /// How long it lasts, in seconds.
-    pub(super) held_s: f64,
+    pub(super) duration_s: f64,
     /// Speed at its start, in m/s.
     pub(super) speed_mps: f64,
     /// Acceleration held over it, in m/s².
     pub(super) acceleration_mps2: f64,
     /// How it stood to the vehicle ahead at its start; none if nobody is ahead.
-    pub(super) ahead: Option<State>,
+    pub(super) ahead: Option<PairState>,
 }
 
-impl Step {
+impl DriveStep {
     /// Deceleration over it, in m/s², negative where the vehicle speeds up.
     pub(super) fn brake_mps2(&self) -> f64 {
         -self.acceleration_mps2
@@ -28,21 +28,21 @@ impl Step {
 /// The steps of vehicle `index` before its first impact; none if there is no such vehicle.
 ///
 /// What happens from an impact on is not the doing of who drives. Tracks of unequal length count up to the shortest.
-pub(super) fn steps_of<'a>(
+pub(super) fn drive_steps<'a>(
     trace: &'a Trace,
     impacts: &[Impact],
     index: usize,
-) -> Option<impl Iterator<Item = Step> + use<'a>> {
+) -> Option<impl Iterator<Item = DriveStep> + use<'a>> {
     let track = trace.vehicles.get(index)?;
     let contacts = impacts_of(impacts, index).map(|impact| impact.contact.time_s);
-    let until_s = contacts.fold(f64::INFINITY, f64::min) - SAME_INSTANT_S;
+    let until_s = contacts.fold(f64::INFINITY, f64::min) - TIME_TOLERANCE_S;
     let ahead =
-        trace.ahead(index).enumerate().map(|(sample, front)| State::at_sample(&trace.time_s, [front?, track], sample));
+        trace.leaders(index).enumerate().map(|(sample, front)| PairState::from_sample(&trace.time_s, [front?, track], sample));
     let spans = trace.time_s.iter().zip(trace.time_s.iter().skip(1));
     let own = track.speed_mps.iter().zip(&track.acceleration_mps2);
-    let steps = spans.zip(own).zip(ahead).map(|(((&time_s, &to_s), (&speed_mps, &acceleration_mps2)), ahead)| Step {
+    let steps = spans.zip(own).zip(ahead).map(|(((&time_s, &to_s), (&speed_mps, &acceleration_mps2)), ahead)| DriveStep {
         time_s,
-        held_s: to_s - time_s,
+        duration_s: to_s - time_s,
         speed_mps,
         acceleration_mps2,
         ahead,

@@ -5,52 +5,54 @@
 
 mod amplification;
 mod drive;
-mod needless;
+mod unnecessary;
 
 use serde::{Deserialize, Serialize};
 
-pub use amplification::{LEAST_DEVIATION_MPS, SETTLED_MPS, SpeedAmplification};
-use drive::{Step, steps_of};
-pub use needless::{
-    CAUSE_LASTS_S, EASY_BRAKE_MPS2, FOLLOWS_WITHIN_S, HARD_BRAKE_MPS2, LEAST_BRAKING_S, LEAST_SPEED_MPS,
-    NEEDLESS_MARGIN_MPS2, NeedlessBrake, NeedlessBraking, caused_brake_mps2,
+pub use amplification::{MIN_DEVIATION_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification};
+use drive::{DriveStep, drive_steps};
+pub use unnecessary::{
+    CAUSE_LASTS_S, EASY_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, HARD_BRAKE_MPS2, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS,
+    UNNECESSARY_MARGIN_MPS2, BrakeInstant, UnnecessaryBraking, justified_brake_mps2,
 };
 
 use super::comfort::JERK_WINDOW_S;
-use super::demand::Imposed;
+use super::demand::InducedBraking;
 use super::proximity::time_gap_s;
 use crate::sim::{Impact, Trace};
 
 /// A vehicle faster than this moves, in m/s: 1. Below it a time gap says nothing, and to fall behind is no harm.
-pub const MOVING_MPS: f64 = 1.0;
+pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
 /// How a vehicle got on, before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Usefulness {
+pub struct UsefulnessMeasures {
     /// Index of the vehicle, counted from the front.
     pub vehicle: usize,
     /// Braking without cause.
-    pub needless: NeedlessBraking,
+    #[serde(rename = "needless")]
+    pub unnecessary: UnnecessaryBraking,
     /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] had a cause.
-    pub hard: NeedlessBraking,
+    pub hard: UnnecessaryBraking,
     /// How it followed the vehicle ahead; none for the leader.
-    pub following: Option<Following>,
+    pub following: Option<FollowingMeasures>,
     /// Root mean square of acceleration, in m/s²; none for less than two samples.
     pub rms_acceleration_mps2: Option<f64>,
     /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; none for a drive
     /// that is no longer.
     pub rms_jerk_mps3: Option<f64>,
     /// Braking imposed on the vehicle behind, until the two touch; none for the last.
-    pub imposed: Option<Imposed>,
+    #[serde(rename = "imposed")]
+    pub induced: Option<InducedBraking>,
 }
 
 /// How a vehicle followed the one ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Following {
+pub struct FollowingMeasures {
     /// Distance driven, relative to the vehicle ahead's; none if that did not move.
     pub progress: Option<f64>,
     /// Mean time gap while it moved, in seconds; none if it never did.
@@ -61,70 +63,70 @@ pub struct Following {
     pub left_behind: bool,
 }
 
-impl Usefulness {
+impl UsefulnessMeasures {
     /// How vehicle `index` got on; none if there is no such vehicle. `impacts` are those of the same run.
     #[must_use]
-    pub fn of(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
-        let steps: Vec<Step> = steps_of(trace, impacts, index)?.collect();
-        let squares = steps.iter().map(|step| (step.acceleration_mps2.powi(2), step.held_s));
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let steps: Vec<DriveStep> = drive_steps(trace, impacts, index)?.collect();
+        let squares = steps.iter().map(|step| (step.acceleration_mps2.powi(2), step.duration_s));
         Some(Self {
             vehicle: index,
-            needless: NeedlessBraking::within(steps.iter().copied()),
-            hard: NeedlessBraking::hard_within(steps.iter().copied()),
-            following: Following::within(&steps),
-            rms_acceleration_mps2: mean(squares).map(f64::sqrt),
+            unnecessary: UnnecessaryBraking::from_steps(steps.iter().copied()),
+            hard: UnnecessaryBraking::hard_from_steps(steps.iter().copied()),
+            following: FollowingMeasures::from_steps(&steps),
+            rms_acceleration_mps2: time_weighted_mean(squares).map(f64::sqrt),
             rms_jerk_mps3: rms_jerk_mps3(&steps),
-            imposed: Imposed::of(trace, impacts, index),
+            induced: InducedBraking::from_trace(trace, impacts, index),
         })
     }
 }
 
-impl Following {
-    fn within(steps: &[Step]) -> Option<Self> {
+impl FollowingMeasures {
+    fn from_steps(steps: &[DriveStep]) -> Option<Self> {
         let ahead = || steps.iter().filter_map(|step| Some((step, step.ahead?)));
         let last = ahead().next_back()?.1;
-        let driven_m = |speed_mps: f64, a: f64, step: &Step| (speed_mps + 0.5 * a * step.held_s).max(0.0) * step.held_s;
+        let driven_m = |speed_mps: f64, a: f64, step: &DriveStep| (speed_mps + 0.5 * a * step.duration_s).max(0.0) * step.duration_s;
         let (mut own_m, mut ahead_m) = (0.0, 0.0);
         for (step, ahead) in ahead() {
             own_m += driven_m(step.speed_mps, step.acceleration_mps2, step);
             ahead_m += driven_m(ahead.front_speed_mps, ahead.front_acceleration_mps2, step);
         }
-        let moving = ahead().filter(|(step, _)| step.speed_mps > MOVING_MPS);
-        let gaps = moving.filter_map(|(step, ahead)| Some((time_gap_s(ahead.gap_m, step.speed_mps)?, step.held_s)));
-        let mean_time_gap_s = mean(gaps.clone());
+        let moving = ahead().filter(|(step, _)| step.speed_mps > MIN_MOVING_SPEED_MPS);
+        let gaps = moving.filter_map(|(step, ahead)| Some((time_gap_s(ahead.gap_m, step.speed_mps)?, step.duration_s)));
+        let mean_time_gap_s = time_weighted_mean(gaps.clone());
         let variance_s2 =
-            mean_time_gap_s.and_then(|mean_s| mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s))));
+            mean_time_gap_s.and_then(|mean_s| time_weighted_mean(gaps.map(|(gap_s, held_s)| ((gap_s - mean_s).powi(2), held_s))));
         Some(Self {
             progress: Some(own_m / ahead_m).filter(|_| ahead_m > 0.0),
             mean_time_gap_s,
             time_gap_deviation_s: variance_s2.map(f64::sqrt),
-            left_behind: last.front_speed_mps > MOVING_MPS && last.rear_speed_mps < 0.5 * last.front_speed_mps,
+            left_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS && last.rear_speed_mps < 0.5 * last.front_speed_mps,
         })
     }
 }
 
 /// Mean of values that each hold for a time; none for no time at all.
-fn mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+fn time_weighted_mean(values: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let (sum, held_s) = values.fold((0.0, 0.0), |(sum, all_s), (value, held_s)| (sum + value * held_s, all_s + held_s));
     (held_s > 0.0).then_some(sum / held_s)
 }
 
 /// Root mean square of the changes that [`peak_jerk_mps3`](super::peak_jerk_mps3) takes the largest of, as those of steps
 /// that start a window apart.
-fn rms_jerk_mps3(steps: &[Step]) -> Option<f64> {
+fn rms_jerk_mps3(steps: &[DriveStep]) -> Option<f64> {
     // Times are sums of steps.
     let window_s = JERK_WINDOW_S * (1.0 - 1e-6);
     let mut earlier = steps.iter().peekable();
     let first_s = steps.first()?.time_s;
     let changes = steps.iter().filter(|step| step.time_s - first_s >= window_s).filter_map(|step| {
         let since_s = step.time_s - window_s;
-        while earlier.peek().is_some_and(|before| before.time_s + before.held_s <= since_s) {
+        while earlier.peek().is_some_and(|before| before.time_s + before.duration_s <= since_s) {
             earlier.next();
         }
         let before = earlier.peek()?;
-        Some((((step.acceleration_mps2 - before.acceleration_mps2) / JERK_WINDOW_S).powi(2), step.held_s))
+        Some((((step.acceleration_mps2 - before.acceleration_mps2) / JERK_WINDOW_S).powi(2), step.duration_s))
     });
-    mean(changes).map(f64::sqrt)
+    time_weighted_mean(changes).map(f64::sqrt)
 }
 
 #[cfg(test)]
@@ -143,7 +145,7 @@ mod tests {
         // Gaps at 0, 0.5, 1, 1.5 s: 20, 20, 20, 21 m at 20, 20, 20, 16 m/s: 1, 1, 1, 1.3125 s.
         let front = driven(4.0, 24.0, 20.0, &[(2.0, 0.0)], 0.5);
         let rear = driven(4.0, 0.0, 20.0, &[(1.0, 0.0), (1.0, -8.0)], 0.5);
-        let found = Usefulness::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let found = UsefulnessMeasures::of(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
         let following = found.following.unwrap();
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(following.progress, 0.9));
@@ -155,19 +157,19 @@ mod tests {
         // Steps of 0.5 s are longer than the window, so that one of three sees the jump of 8 m/s².
         assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
 
-        let still = Usefulness::of(&trace(vec![driven(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5), &[], 1).unwrap();
+        let still = UsefulnessMeasures::of(&trace(vec![driven(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5), &[], 1).unwrap();
         let following = still.following.unwrap();
         assert_eq!((following.progress, following.mean_time_gap_s, following.left_behind), (None, None, false));
         let left =
             trace(vec![driven(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)], 0.5);
-        assert!(Usefulness::of(&left, &[], 1).unwrap().following.unwrap().left_behind);
+        assert!(UsefulnessMeasures::of(&left, &[], 1).unwrap().following.unwrap().left_behind);
     }
 
     #[test]
     fn jerk_of_a_ramp_is_its_slope() {
         // 3 m/s³ in stairs of 0.01 s: each differs from that a window before by 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
-        let found = Usefulness::of(&trace(vec![driven(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0).unwrap();
+        let found = UsefulnessMeasures::of(&trace(vec![driven(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0).unwrap();
         assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
     }
 
@@ -178,7 +180,7 @@ mod tests {
             let scenario = PaperDistribution { seed: 5 }.draw(index).unwrap();
             let run = Run::new(&scenario, RunOptions::new(ControllerSpec::named("idm").unwrap())).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
-            let found = Usefulness::of(&result.trace.unwrap(), &result.impacts, 1).unwrap();
+            let found = UsefulnessMeasures::of(&result.trace.unwrap(), &result.impacts, 1).unwrap();
             assert!(found.needless.is_none() && found.hard.is_none(), "{found:?}");
         }
     }
@@ -196,12 +198,12 @@ mod tests {
                     driven(4.0, shift_m - 20.0 * i as f64, 20.0, &pieces, 0.125)
                 };
                 let line = trace((0..3).map(vehicle).collect(), 0.125);
-                (0..3).map(|index| Usefulness::of(&line, &[], index).unwrap()).collect::<Vec<_>>()
+                (0..3).map(|index| UsefulnessMeasures::of(&line, &[], index).unwrap()).collect::<Vec<_>>()
             };
             let found = at(0.0);
             prop_assert_eq!(&found, &at(f64::from(shift_m)));
             let json = serde_json::to_string(&found).unwrap();
-            prop_assert_eq!(&serde_json::from_str::<Vec<Usefulness>>(&json).unwrap(), &found);
+            prop_assert_eq!(&serde_json::from_str::<Vec<UsefulnessMeasures>>(&json).unwrap(), &found);
         }
     }
 }

@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use super::super::{Elementwise, FeedForward, Linear, MOST_PARAMETERS, MOST_STEPS, NetworkError, Step, WIDEST_LAYER};
-use super::constants::{constant, float, integer, matrix_shape, oriented, spread};
-use super::model::{Model, Node, Numbers, Tensor, is_ordinary};
+use super::super::{Elementwise, FeedForward, Linear, MAX_PARAMETERS, MAX_STEPS, NetworkError, Step, MAX_LAYER_WIDTH};
+use super::constants::{constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows, broadcast};
+use super::model::{OnnxModel, OnnxNode, TensorData, OnnxTensor, is_default_domain};
 
 /// The network of a graph that is a straight chain.
-pub(super) fn network(model: Model) -> Result<FeedForward, NetworkError> {
-    let Model { opset, nodes, constants, inputs, outputs } = model;
+pub(super) fn build_network(model: OnnxModel) -> Result<FeedForward, NetworkError> {
+    let OnnxModel { opset, nodes, constants, inputs, outputs } = model;
     let given: Vec<_> = inputs.into_iter().filter(|(name, _)| !constants.contains_key(name)).collect();
     let [(input, shape)] = given.as_slice() else {
         let names: Vec<_> = given.iter().map(|(name, _)| name.as_str()).collect();
@@ -20,21 +20,21 @@ pub(super) fn network(model: Model) -> Result<FeedForward, NetworkError> {
         return Err(NetworkError::Unsupported(format!("the graph does not say the shape of its input `{input}`")));
     };
     let count = shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
-    let Some(count) = count.filter(|&count| count <= WIDEST_LAYER) else {
-        let problem = format!("the graph's input `{input}` has more than {WIDEST_LAYER} numbers");
+    let Some(count) = count.filter(|&count| count <= MAX_LAYER_WIDTH) else {
+        let problem = format!("the graph's input `{input}` has more than {MAX_LAYER_WIDTH} numbers");
         return Err(NetworkError::Unsupported(problem));
     };
-    let mut chain = Chain { opset, constants, now: input.clone(), shape, parameters: 0, steps: Vec::new() };
+    let mut chain = Chain { opset, constants, current: input.clone(), shape, parameters: 0, steps: Vec::new() };
     for (index, node) in nodes.into_iter().enumerate() {
         let name = if node.name.is_empty() { index.to_string() } else { format!("`{}`", node.name) };
         let operator = node.operator.clone();
-        chain.follow(node).map_err(|problem| NetworkError::Node { node: name, operator, problem })?;
+        chain.apply_node(node).map_err(|problem| NetworkError::Node { node: name, operator, problem })?;
     }
     match outputs.as_slice() {
-        [output] if *output == chain.now => FeedForward::new(count, chain.steps),
+        [output] if *output == chain.current => FeedForward::new(count, chain.steps),
         [output] => Err(NetworkError::Unsupported(format!(
             "the graph answers with `{output}`, and its chain ends in `{}`",
-            chain.now
+            chain.current
         ))),
         more => {
             let problem = format!("the graph has {} answers ({}), and one is wanted", more.len(), more.join(", "));
@@ -46,9 +46,9 @@ pub(super) fn network(model: Model) -> Result<FeedForward, NetworkError> {
 /// The chain as far as it was followed.
 struct Chain {
     opset: i64,
-    constants: HashMap<String, Rc<Tensor>>,
+    constants: HashMap<String, Rc<OnnxTensor>>,
     /// Name of what the last node gave.
-    now: String,
+    current: String,
     /// Its shape, a batch counted as 1.
     shape: Vec<usize>,
     /// Weights and biases so far.
@@ -57,7 +57,7 @@ struct Chain {
 }
 
 /// Why a matrix may not fit the numbers there are: what exporters make of an axis that has no fixed length, or of a batch.
-fn why_not(taken: usize, count: usize) -> &'static str {
+fn mismatch_hint(taken: usize, count: usize) -> &'static str {
     match (taken, count) {
         (2.., 1) => {
             ": the axis of the numbers may have no fixed length; export with one, and let the batch alone be dynamic"
@@ -71,13 +71,13 @@ fn why_not(taken: usize, count: usize) -> &'static str {
 
 /// Which of two factors is the constant.
 enum Constant {
-    Left(Rc<Tensor>),
-    Right(Rc<Tensor>),
+    Left(Rc<OnnxTensor>),
+    Right(Rc<OnnxTensor>),
 }
 
 impl Chain {
-    fn follow(&mut self, node: Node) -> Result<(), String> {
-        if !is_ordinary(&node.domain) {
+    fn apply_node(&mut self, node: OnnxNode) -> Result<(), String> {
+        if !is_default_domain(&node.domain) {
             return Err(format!("the operators of `{}` are not followed", node.domain));
         }
         let [output] = node.outputs.as_slice() else {
@@ -85,7 +85,7 @@ impl Chain {
         };
         let output = output.clone();
         if node.operator == "Constant" {
-            let constant = constant(node)?;
+            let constant = constant_of_node(node)?;
             self.constants.insert(output, Rc::new(constant));
             return Ok(());
         }
@@ -94,62 +94,62 @@ impl Chain {
             self.constants.insert(output, constant);
             return Ok(());
         }
-        if self.steps.len() >= MOST_STEPS {
-            return Err(format!("the network has more than {MOST_STEPS} steps"));
+        if self.steps.len() >= MAX_STEPS {
+            return Err(format!("the network has more than {MAX_STEPS} steps"));
         }
-        if node.inputs.iter().filter(|name| **name == self.now).count() != 1 {
-            return Err(format!("it does not take `{}` once, so the graph is no straight chain", self.now));
+        if node.inputs.iter().filter(|name| **name == self.current).count() != 1 {
+            return Err(format!("it does not take `{}` once, so the graph is no straight chain", self.current));
         }
         match node.operator.as_str() {
             "Gemm" => self.gemm(&node)?,
             "MatMul" => self.product(&node)?,
-            "Conv" => self.whole_convolution(&node)?,
+            "Conv" => self.full_convolution(&node)?,
             "Add" => self.add(&node, 1.0)?,
             "Sub" => self.subtract(&node)?,
             "Mul" => {
-                let factors = self.operands(&node)?;
+                let factors = self.broadcast_operand(&node)?;
                 self.steps.push(Step::Each(Elementwise::Multiply(factors)));
             }
-            "Div" if node.inputs.first() == Some(&self.now) => {
-                let divisors = self.operands(&node)?;
+            "Div" if node.inputs.first() == Some(&self.current) => {
+                let divisors = self.broadcast_operand(&node)?;
                 self.steps.push(Step::Each(Elementwise::Divide(divisors)));
             }
-            "Relu" => self.each(Elementwise::Relu),
-            "LeakyRelu" => self.each(Elementwise::LeakyRelu { slope: float(&node, "alpha", 0.01) }),
-            "Elu" => self.each(Elementwise::Elu { alpha: float(&node, "alpha", 1.0) }),
-            "Tanh" => self.each(Elementwise::Tanh),
-            "Sigmoid" => self.each(Elementwise::Sigmoid),
+            "Relu" => self.push_elementwise(Elementwise::Relu),
+            "LeakyRelu" => self.push_elementwise(Elementwise::LeakyRelu { slope: float_attribute(&node, "alpha", 0.01) }),
+            "Elu" => self.push_elementwise(Elementwise::Elu { alpha: float_attribute(&node, "alpha", 1.0) }),
+            "Tanh" => self.push_elementwise(Elementwise::Tanh),
+            "Sigmoid" => self.push_elementwise(Elementwise::Sigmoid),
             "Clip" => self.clip(&node)?,
             "Identity" => {}
             // Single and double precision: all is calculated in single.
-            "Cast" if matches!(integer(&node, "to"), Some(1 | 11)) => {}
+            "Cast" if matches!(integer_attribute(&node, "to"), Some(1 | 11)) => {}
             "Cast" => return Err("only casts to single and double precision are followed".to_owned()),
-            "Flatten" => self.shape = vec![1, self.count()],
+            "Flatten" => self.shape = vec![1, self.element_count()],
             "Reshape" => self.reshape(&node)?,
             _ => return Err("this operator is not followed".to_owned()),
         }
-        self.now = output;
+        self.current = output;
         Ok(())
     }
 
-    fn count(&self) -> usize {
+    fn element_count(&self) -> usize {
         self.shape.iter().product()
     }
 
-    fn each(&mut self, what: Elementwise) {
+    fn push_elementwise(&mut self, what: Elementwise) {
         self.steps.push(Step::Each(what));
     }
 
     /// The constant at one of the node's inputs.
-    fn constant(&self, node: &Node, place: usize) -> Result<Rc<Tensor>, String> {
+    fn constant(&self, node: &OnnxNode, place: usize) -> Result<Rc<OnnxTensor>, String> {
         let name = node.inputs.get(place).filter(|name| !name.is_empty()).ok_or("it lacks an input")?;
         let constant = self.constants.get(name);
         constant.cloned().ok_or_else(|| format!("its input `{name}` is no constant, so the graph is no straight chain"))
     }
 
     /// The constant of an operator of two factors.
-    fn factor(&self, node: &Node) -> Result<Constant, String> {
-        if node.inputs.first() == Some(&self.now) {
+    fn constant_operand(&self, node: &OnnxNode) -> Result<Constant, String> {
+        if node.inputs.first() == Some(&self.current) {
             self.constant(node, 1).map(Constant::Right)
         } else {
             self.constant(node, 0).map(Constant::Left)
@@ -157,36 +157,36 @@ impl Chain {
     }
 
     /// One number of the node's constant for each number there is, spread out as the operator does.
-    fn operands(&self, node: &Node) -> Result<Vec<f32>, String> {
-        let (Constant::Left(constant) | Constant::Right(constant)) = self.factor(node)?;
-        let numbers = constant.real()?;
+    fn broadcast_operand(&self, node: &OnnxNode) -> Result<Vec<f32>, String> {
+        let (Constant::Left(constant) | Constant::Right(constant)) = self.constant_operand(node)?;
+        let numbers = constant.floats()?;
         let mut shape = constant.shape.clone();
         // Before opset 7 an axis said where the constant's first dimension belongs.
         if self.opset < 7
-            && let Some(axis) = integer(node, "axis").and_then(|axis| usize::try_from(axis).ok())
+            && let Some(axis) = integer_attribute(node, "axis").and_then(|axis| usize::try_from(axis).ok())
         {
             shape.resize(self.shape.len().saturating_sub(axis).max(shape.len()), 1);
         }
-        spread(numbers, &shape, &self.shape)
+        broadcast(numbers, &shape, &self.shape)
     }
 
     /// Takes in a product with a matrix of so many weights, before they are copied.
-    fn admit(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
+    fn reserve_parameters(&mut self, weights: usize, outputs: usize) -> Result<(), String> {
         self.parameters = self.parameters.saturating_add(weights).saturating_add(outputs);
-        if self.parameters > MOST_PARAMETERS || outputs > WIDEST_LAYER {
-            return Err(format!("more than {MOST_PARAMETERS} weights and biases, or more than {WIDEST_LAYER} outputs"));
+        if self.parameters > MAX_PARAMETERS || outputs > MAX_LAYER_WIDTH {
+            return Err(format!("more than {MAX_PARAMETERS} weights and biases, or more than {MAX_LAYER_WIDTH} outputs"));
         }
         Ok(())
     }
 
     /// A product with rows of the present numbers.
-    fn push(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
+    fn push_linear(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
         self.steps.push(Step::Linear(Linear { weights, biases }));
         self.shape = shape;
     }
 
-    fn product(&mut self, node: &Node) -> Result<(), String> {
-        let (constant, transposed) = match self.factor(node)? {
+    fn product(&mut self, node: &OnnxNode) -> Result<(), String> {
+        let (constant, transposed) = match self.constant_operand(node)? {
             Constant::Right(constant) => (constant, false),
             Constant::Left(constant) => (constant, true),
         };
@@ -194,32 +194,32 @@ impl Chain {
         let taken = if transposed { columns } else { rows };
         // The present numbers must be one row, or for a constant on the left one column.
         let is_vector = match (transposed, self.shape.as_slice()) {
-            (false, [.., last]) => *last == self.count(),
-            (true, [.., before, _]) => *before == self.count(),
+            (false, [.., last]) => *last == self.element_count(),
+            (true, [.., before, _]) => *before == self.element_count(),
             (true, [_]) => true,
             (_, []) => false,
         };
-        if !is_vector || taken != self.count() {
+        if !is_vector || taken != self.element_count() {
             let problem = format!("a matrix of {rows} by {columns} against numbers of shape {:?}", self.shape);
-            return Err(problem + why_not(taken, self.count()));
+            return Err(problem + mismatch_hint(taken, self.element_count()));
         }
         let outputs = if transposed { rows } else { columns };
-        let numbers = constant.real()?;
-        self.admit(numbers.len(), outputs)?;
-        let weights = oriented(numbers, [rows, columns], transposed).into_owned();
+        let numbers = constant.floats()?;
+        self.reserve_parameters(numbers.len(), outputs)?;
+        let weights = to_input_rows(numbers, [rows, columns], transposed).into_owned();
         let rank = self.shape.len();
         let mut shape = vec![1; rank.max(1)];
         let at = if transposed && rank > 1 { rank - 2 } else { shape.len() - 1 };
         shape[at] = outputs;
-        self.push(weights, vec![0.0; outputs], shape);
+        self.push_linear(weights, vec![0.0; outputs], shape);
         Ok(())
     }
 
     /// α A B + β C. Before opset 7, A of four dimensions counts as a row.
-    fn gemm(&mut self, node: &Node) -> Result<(), String> {
-        let (alpha, beta) = (float(node, "alpha", 1.0), float(node, "beta", 1.0));
-        let is_set = |name: &str| integer(node, name).is_some_and(|value| value != 0);
-        let (constant, is_left) = match self.factor(node)? {
+    fn gemm(&mut self, node: &OnnxNode) -> Result<(), String> {
+        let (alpha, beta) = (float_attribute(node, "alpha", 1.0), float_attribute(node, "beta", 1.0));
+        let is_set = |name: &str| integer_attribute(node, name).is_some_and(|value| value != 0);
+        let (constant, is_left) = match self.constant_operand(node)? {
             Constant::Right(constant) => (constant, false),
             Constant::Left(constant) => (constant, true),
         };
@@ -227,20 +227,20 @@ impl Chain {
         // With the constant on the left, its rows are the outputs.
         let transposed = is_set(if is_left { "transA" } else { "transB" }) != is_left;
         let (inputs, outputs) = if transposed { (columns, rows) } else { (rows, columns) };
-        if inputs != self.count() {
-            let (count, noun) = (self.count(), if self.count() == 1 { "number" } else { "numbers" });
-            return Err(format!("a matrix of {rows} by {columns} against {count} {noun}{}", why_not(inputs, count)));
+        if inputs != self.element_count() {
+            let (count, noun) = (self.element_count(), if self.element_count() == 1 { "number" } else { "numbers" });
+            return Err(format!("a matrix of {rows} by {columns} against {count} {noun}{}", mismatch_hint(inputs, count)));
         }
-        let numbers = constant.real()?;
-        self.admit(numbers.len(), outputs)?;
-        let mut weights = oriented(numbers, shape, transposed).into_owned();
+        let numbers = constant.floats()?;
+        self.reserve_parameters(numbers.len(), outputs)?;
+        let mut weights = to_input_rows(numbers, shape, transposed).into_owned();
         if alpha != 1.0 {
             weights.iter_mut().for_each(|weight| *weight *= alpha);
         }
         let mut biases = vec![0.0; outputs];
         if node.inputs.get(2).is_some_and(|name| !name.is_empty()) {
             let constant = self.constant(node, 2)?;
-            let numbers = constant.real()?;
+            let numbers = constant.floats()?;
             if numbers.len() != outputs && numbers.len() != 1 {
                 return Err(format!("{} numbers are added to {outputs}", numbers.len()));
             }
@@ -250,12 +250,12 @@ impl Chain {
             }
         }
         let shape = if is_left { vec![outputs, 1] } else { vec![1, outputs] };
-        self.push(weights, biases, shape);
+        self.push_linear(weights, biases, shape);
         Ok(())
     }
 
     /// A convolution whose kernel is as large as what it is laid over: a product with a matrix, as MATLAB writes it.
-    fn whole_convolution(&mut self, node: &Node) -> Result<(), String> {
+    fn full_convolution(&mut self, node: &OnnxNode) -> Result<(), String> {
         let constant = self.constant(node, 1)?;
         let all = |name: &str, wanted: i64| {
             node.attributes.get(name).is_none_or(|value| value.integers.iter().all(|&number| number == wanted))
@@ -264,30 +264,30 @@ impl Chain {
             ([_, kernel @ ..], [1, image @ ..]) => kernel == image && !kernel.is_empty(),
             _ => false,
         };
-        let is_plain = all("pads", 0) && all("dilations", 1) && integer(node, "group").is_none_or(|group| group == 1);
-        if !is_whole || !is_plain || node.attributes.contains_key("auto_pad") || node.inputs.first() != Some(&self.now)
+        let is_plain = all("pads", 0) && all("dilations", 1) && integer_attribute(node, "group").is_none_or(|group| group == 1);
+        if !is_whole || !is_plain || node.attributes.contains_key("auto_pad") || node.inputs.first() != Some(&self.current)
         {
             return Err("only a kernel over the whole input, without padding, is followed".to_owned());
         }
         let [outputs, inputs] = matrix_shape(&constant.shape)?;
-        let numbers = constant.real()?;
-        self.admit(numbers.len(), outputs)?;
-        let weights = oriented(numbers, [outputs, inputs], true).into_owned();
+        let numbers = constant.floats()?;
+        self.reserve_parameters(numbers.len(), outputs)?;
+        let weights = to_input_rows(numbers, [outputs, inputs], true).into_owned();
         let biases = match node.inputs.get(2).filter(|name| !name.is_empty()) {
-            Some(_) => self.constant(node, 2)?.real()?.to_vec(),
+            Some(_) => self.constant(node, 2)?.floats()?.to_vec(),
             None => vec![0.0; outputs],
         };
         let mut shape = vec![1; self.shape.len()];
         if let Some(channels) = shape.get_mut(1) {
             *channels = outputs;
         }
-        self.push(weights, biases, shape);
+        self.push_linear(weights, biases, shape);
         Ok(())
     }
 
     /// Adds `sign` times a constant: to the biases of a product right before, else as a step.
-    fn add(&mut self, node: &Node, sign: f32) -> Result<(), String> {
-        let operands: Vec<f32> = self.operands(node)?.into_iter().map(|number| sign * number).collect();
+    fn add(&mut self, node: &OnnxNode, sign: f32) -> Result<(), String> {
+        let operands: Vec<f32> = self.broadcast_operand(node)?.into_iter().map(|number| sign * number).collect();
         match self.steps.last_mut() {
             Some(Step::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => *biases = operands,
             _ => self.steps.push(Step::Each(Elementwise::Add(operands))),
@@ -295,39 +295,39 @@ impl Chain {
         Ok(())
     }
 
-    fn subtract(&mut self, node: &Node) -> Result<(), String> {
-        if node.inputs.first() == Some(&self.now) {
+    fn subtract(&mut self, node: &OnnxNode) -> Result<(), String> {
+        if node.inputs.first() == Some(&self.current) {
             return self.add(node, -1.0);
         }
-        let operands = self.operands(node)?;
+        let operands = self.broadcast_operand(node)?;
         self.steps.push(Step::Each(Elementwise::Multiply(vec![-1.0; operands.len()])));
         self.steps.push(Step::Each(Elementwise::Add(operands)));
         Ok(())
     }
 
     /// Limits are attributes before opset 11, inputs since.
-    fn clip(&mut self, node: &Node) -> Result<(), String> {
+    fn clip(&mut self, node: &OnnxNode) -> Result<(), String> {
         let limit = |place: usize, name: &str, open: f32| -> Result<f32, String> {
             if self.opset < 11 {
-                return Ok(float(node, name, open));
+                return Ok(float_attribute(node, name, open));
             }
             if node.inputs.get(place).is_none_or(String::is_empty) {
                 return Ok(open);
             }
             let constant = self.constant(node, place)?;
-            let [limit] = constant.real()? else { return Err("a limit that is not one number".to_owned()) };
+            let [limit] = constant.floats()? else { return Err("a limit that is not one number".to_owned()) };
             Ok(*limit)
         };
         let (low, high) = (limit(1, "min", f32::NEG_INFINITY)?, limit(2, "max", f32::INFINITY)?);
-        let count = self.count();
-        self.each(Elementwise::Clip { low: vec![low; count], high: vec![high; count] });
+        let count = self.element_count();
+        self.push_elementwise(Elementwise::Clip { low: vec![low; count], high: vec![high; count] });
         Ok(())
     }
 
-    fn reshape(&mut self, node: &Node) -> Result<(), String> {
+    fn reshape(&mut self, node: &OnnxNode) -> Result<(), String> {
         let constant = self.constant(node, 1)?;
-        let Numbers::Whole(wanted) = &constant.numbers else { return Err("a shape that is not whole".to_owned()) };
-        let keeps_zero = integer(node, "allowzero").is_some_and(|value| value != 0);
+        let TensorData::Integer(wanted) = &constant.data else { return Err("a shape that is not whole".to_owned()) };
+        let keeps_zero = integer_attribute(node, "allowzero").is_some_and(|value| value != 0);
         let mut shape = Vec::new();
         for (index, &size) in wanted.iter().enumerate() {
             shape.push(match size {
@@ -340,10 +340,10 @@ impl Chain {
         let mut shape = shape.ok_or_else(|| format!("to shape {wanted:?}"))?;
         let count = |shape: &[usize]| shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
         if let Some(open) = wanted.iter().position(|&size| size == -1) {
-            shape[open] = count(&shape).and_then(|count| self.count().checked_div(count)).unwrap_or(0);
+            shape[open] = count(&shape).and_then(|count| self.element_count().checked_div(count)).unwrap_or(0);
         }
-        if count(&shape) != Some(self.count()) || wanted.len() > 8 {
-            return Err(format!("{} numbers to shape {wanted:?}", self.count()));
+        if count(&shape) != Some(self.element_count()) || wanted.len() > 8 {
+            return Err(format!("{} numbers to shape {wanted:?}", self.element_count()));
         }
         self.shape = shape;
         Ok(())

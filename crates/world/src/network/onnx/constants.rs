@@ -2,18 +2,18 @@
 
 use std::borrow::Cow;
 
-use super::super::MOST_PARAMETERS;
-use super::model::{Node, Numbers, Tensor};
+use super::super::MAX_PARAMETERS;
+use super::model::{OnnxNode, TensorData, OnnxTensor};
 
 /// The constant that a node is.
-pub(super) fn constant(node: Node) -> Result<Tensor, String> {
+pub(super) fn constant_of_node(node: OnnxNode) -> Result<OnnxTensor, String> {
     let mut attributes = node.attributes;
     if let Some(tensor) = attributes.remove("value").and_then(|value| value.tensor) {
         return Ok(tensor);
     }
     let one = |name: &str| attributes.get(name);
-    let real = |shape, numbers| Tensor { shape, numbers: Numbers::Real(numbers) };
-    let whole = |shape, numbers| Tensor { shape, numbers: Numbers::Whole(numbers) };
+    let real = |shape, numbers| OnnxTensor { shape, data: TensorData::Float(numbers) };
+    let whole = |shape, numbers| OnnxTensor { shape, data: TensorData::Integer(numbers) };
     if let Some(number) = one("value_float").and_then(|value| value.float) {
         return Ok(real(vec![], vec![number]));
     }
@@ -29,11 +29,11 @@ pub(super) fn constant(node: Node) -> Result<Tensor, String> {
     Err("a constant that is not written as numbers".to_owned())
 }
 
-pub(super) fn float(node: &Node, name: &str, otherwise: f32) -> f32 {
+pub(super) fn float_attribute(node: &OnnxNode, name: &str, otherwise: f32) -> f32 {
     node.attributes.get(name).and_then(|value| value.float).unwrap_or(otherwise)
 }
 
-pub(super) fn integer(node: &Node, name: &str) -> Option<i64> {
+pub(super) fn integer_attribute(node: &OnnxNode, name: &str) -> Option<i64> {
     node.attributes.get(name).and_then(|value| value.integer)
 }
 
@@ -50,7 +50,7 @@ pub(super) fn matrix_shape(shape: &[usize]) -> Result<[usize; 2], String> {
 }
 
 /// A matrix with one row an input.
-pub(super) fn oriented(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Cow<'_, [f32]> {
+pub(super) fn to_input_rows(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Cow<'_, [f32]> {
     if !transposed {
         return Cow::Borrowed(numbers);
     }
@@ -60,11 +60,11 @@ pub(super) fn oriented(numbers: &[f32], [rows, columns]: [usize; 2], transposed:
 }
 
 /// Numbers of one shape, repeated until they have another: as NumPy broadcasts.
-pub(super) fn spread(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
+pub(super) fn broadcast(numbers: &[f32], from: &[usize], to: &[usize]) -> Result<Vec<f32>, String> {
     let refused = || Err(format!("a constant of shape {from:?} against numbers of shape {to:?}"));
     let excess = from.len().saturating_sub(to.len());
     let count: usize = to.iter().product();
-    if from.iter().take(excess).any(|&size| size != 1) || count > MOST_PARAMETERS {
+    if from.iter().take(excess).any(|&size| size != 1) || count > MAX_PARAMETERS {
         return refused();
     }
     let from_aligned: Vec<usize> =

@@ -10,14 +10,14 @@ mod model;
 use super::{FeedForward, NetworkError};
 
 /// Oldest set of operators that is read.
-const OLDEST_OPSET: i64 = 6;
+const MIN_OPSET: i64 = 6;
 
 /// Reads a network from the bytes of an ONNX file.
 pub(super) fn read(bytes: &[u8]) -> Result<FeedForward, NetworkError> {
-    let model = model::Model::read(bytes)?;
-    if model.opset < OLDEST_OPSET {
-        let problem = format!("opset {} is too old: those from {OLDEST_OPSET} are read", model.opset);
+    let model = model::OnnxModel::read(bytes)?;
+    if model.opset < MIN_OPSET {
+        let problem = format!("opset {} is too old: those from {MIN_OPSET} are read", model.opset);
         return Err(NetworkError::Unsupported(problem));
     }
-    chain::network(model)
+    chain::build_network(model)
 }

@@ -3,20 +3,20 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use super::super::wire::{Message, Value};
-use super::super::{MOST_PARAMETERS, NetworkError};
+use super::super::protobuf::{Message, WireValue};
+use super::super::{MAX_PARAMETERS, NetworkError};
 
 /// Most nodes of a graph, and most of anything else that it or a node has many of.
-const MOST_PARTS: usize = 1000;
+const MAX_PARTS: usize = 1000;
 
 /// Most dimensions of a tensor.
-const MOST_DIMENSIONS: usize = 8;
+const MAX_DIMENSIONS: usize = 8;
 
 /// A model: its graph, and the version of the operators in it.
-pub(super) struct Model {
+pub(super) struct OnnxModel {
     pub(super) opset: i64,
-    pub(super) nodes: Vec<Node>,
-    pub(super) constants: HashMap<String, Rc<Tensor>>,
+    pub(super) nodes: Vec<OnnxNode>,
+    pub(super) constants: HashMap<String, Rc<OnnxTensor>>,
     /// Inputs with their shapes, a batch and whatever has no size counted as 1.
     pub(super) inputs: Vec<(String, Option<Vec<usize>>)>,
     pub(super) outputs: Vec<String>,
@@ -24,7 +24,7 @@ pub(super) struct Model {
 
 /// A node of a graph.
 #[derive(Default)]
-pub(super) struct Node {
+pub(super) struct OnnxNode {
     pub(super) name: String,
     pub(super) operator: String,
     pub(super) domain: String,
@@ -40,40 +40,40 @@ pub(super) struct Attribute {
     pub(super) integer: Option<i64>,
     pub(super) integers: Vec<i64>,
     pub(super) floats: Vec<f32>,
-    pub(super) tensor: Option<Tensor>,
+    pub(super) tensor: Option<OnnxTensor>,
 }
 
 /// A constant.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Tensor {
+pub(super) struct OnnxTensor {
     pub(super) shape: Vec<usize>,
-    pub(super) numbers: Numbers,
+    pub(super) data: TensorData,
 }
 
 /// What a constant holds.
 #[derive(Debug, Clone)]
-pub(super) enum Numbers {
+pub(super) enum TensorData {
     /// Numbers to calculate with; those of double precision are rounded to single.
-    Real(Vec<f32>),
+    Float(Vec<f32>),
     /// Whole numbers, for shapes.
-    Whole(Vec<i64>),
+    Integer(Vec<i64>),
     /// Something that is not read: why it cannot be used.
-    Other(String),
+    Unsupported(String),
 }
 
-impl Default for Numbers {
+impl Default for TensorData {
     fn default() -> Self {
-        Self::Real(Vec::new())
+        Self::Float(Vec::new())
     }
 }
 
-impl Tensor {
+impl OnnxTensor {
     /// The numbers to calculate with.
-    pub(super) fn real(&self) -> Result<&[f32], String> {
-        match &self.numbers {
-            Numbers::Real(numbers) => Ok(numbers),
-            Numbers::Whole(_) => Err("holds whole numbers where a network's numbers are wanted".to_owned()),
-            Numbers::Other(why) => Err(why.clone()),
+    pub(super) fn floats(&self) -> Result<&[f32], String> {
+        match &self.data {
+            TensorData::Float(numbers) => Ok(numbers),
+            TensorData::Integer(_) => Err("holds whole numbers where a network's numbers are wanted".to_owned()),
+            TensorData::Unsupported(why) => Err(why.clone()),
         }
     }
 }
@@ -82,14 +82,14 @@ fn damaged(problem: impl Into<String>) -> NetworkError {
     NetworkError::damaged("ONNX file", problem)
 }
 
-impl Model {
+impl OnnxModel {
     pub(super) fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
         let (mut opset, mut graph) = (None, None);
         let mut rest = Message(bytes);
-        while let Some((field, value)) = rest.next()? {
+        while let Some((field, value)) = rest.next_field()? {
             match field {
                 7 => graph = Some(value.bytes()?),
-                8 => opset = operator_set(value.bytes()?)?.or(opset),
+                8 => opset = parse_opset(value.bytes()?)?.or(opset),
                 _ => {}
             }
         }
@@ -99,21 +99,21 @@ impl Model {
             Self { opset, nodes: Vec::new(), constants: HashMap::new(), inputs: Vec::new(), outputs: Vec::new() };
         let mut numbers = 0;
         let mut rest = Message(graph);
-        while let Some((field, value)) = rest.next()? {
+        while let Some((field, value)) = rest.next_field()? {
             match field {
-                1 => model.nodes.push(Node::read(value.bytes()?)?),
+                1 => model.nodes.push(OnnxNode::read(value.bytes()?)?),
                 5 => {
-                    let (name, tensor) = tensor(value.bytes()?)?;
-                    if let Numbers::Real(held) = &tensor.numbers {
+                    let (name, tensor) = parse_tensor(value.bytes()?)?;
+                    if let TensorData::Float(held) = &tensor.data {
                         numbers += held.len();
                     }
-                    if numbers > MOST_PARAMETERS {
+                    if numbers > MAX_PARAMETERS {
                         return Err(NetworkError::TooManyParameters);
                     }
                     model.constants.insert(name, Rc::new(tensor));
                 }
-                11 => model.inputs.push(value_info(value.bytes()?)?),
-                12 => model.outputs.push(value_info(value.bytes()?)?.0),
+                11 => model.inputs.push(parse_value_info(value.bytes()?)?),
+                12 => model.outputs.push(parse_value_info(value.bytes()?)?.0),
                 15 => {
                     return Err(NetworkError::Unsupported(
                         "the graph has a sparse constant, which is not read".to_owned(),
@@ -122,8 +122,8 @@ impl Model {
                 _ => {}
             }
             let parts = [model.nodes.len(), model.constants.len(), model.inputs.len(), model.outputs.len()];
-            if parts.iter().any(|&parts| parts > MOST_PARTS) {
-                let problem = format!("the graph has more than {MOST_PARTS} nodes, constants, inputs or answers");
+            if parts.iter().any(|&parts| parts > MAX_PARTS) {
+                let problem = format!("the graph has more than {MAX_PARTS} nodes, constants, inputs or answers");
                 return Err(NetworkError::Unsupported(problem));
             }
         }
@@ -132,58 +132,58 @@ impl Model {
 }
 
 /// The version of the ordinary operators; none for another set.
-fn operator_set(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
+fn parse_opset(bytes: &[u8]) -> Result<Option<i64>, NetworkError> {
     let (mut domain, mut version) = (String::new(), 0);
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => domain = value.text()?,
             2 => version = value.integer()?,
             _ => {}
         }
     }
-    Ok(is_ordinary(&domain).then_some(version))
+    Ok(is_default_domain(&domain).then_some(version))
 }
 
 /// Whether a domain is that of the ordinary operators.
-pub(super) fn is_ordinary(domain: &str) -> bool {
+pub(super) fn is_default_domain(domain: &str) -> bool {
     domain.is_empty() || domain == "ai.onnx"
 }
 
-impl Node {
+impl OnnxNode {
     fn read(bytes: &[u8]) -> Result<Self, NetworkError> {
         let mut node = Self::default();
         let mut rest = Message(bytes);
-        while let Some((field, value)) = rest.next()? {
+        while let Some((field, value)) = rest.next_field()? {
             match field {
                 1 => node.inputs.push(value.text()?),
                 2 => node.outputs.push(value.text()?),
                 3 => node.name = value.text()?,
                 4 => node.operator = value.text()?,
                 5 => {
-                    let (name, attribute) = attribute(value.bytes()?)?;
+                    let (name, attribute) = parse_attribute(value.bytes()?)?;
                     node.attributes.insert(name, attribute);
                 }
                 7 => node.domain = value.text()?,
                 _ => {}
             }
-            if node.inputs.len().max(node.outputs.len()).max(node.attributes.len()) > MOST_PARTS {
-                return Err(damaged(format!("a node of more than {MOST_PARTS} inputs, answers or attributes")));
+            if node.inputs.len().max(node.outputs.len()).max(node.attributes.len()) > MAX_PARTS {
+                return Err(damaged(format!("a node of more than {MAX_PARTS} inputs, answers or attributes")));
             }
         }
         Ok(node)
     }
 }
 
-fn attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
+fn parse_attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
     let (mut name, mut attribute) = (String::new(), Attribute::default());
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => name = value.text()?,
             2 => attribute.float = Some(value.float()?),
             3 => attribute.integer = Some(value.integer()?),
-            5 => attribute.tensor = Some(tensor(value.bytes()?)?.1),
+            5 => attribute.tensor = Some(parse_tensor(value.bytes()?)?.1),
             7 => value.floats(&mut attribute.floats)?,
             8 => value.integers(&mut attribute.integers)?,
             _ => {}
@@ -193,11 +193,11 @@ fn attribute(bytes: &[u8]) -> Result<(String, Attribute), NetworkError> {
 }
 
 /// A constant and its name.
-fn tensor(bytes: &[u8]) -> Result<(String, Tensor), NetworkError> {
+fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
     let (mut name, mut dims, mut kind) = (String::new(), Vec::new(), 0);
     let (mut reals, mut wholes, mut raw, mut is_elsewhere) = (Vec::new(), Vec::new(), None, false);
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => value.integers(&mut dims)?,
             2 => kind = value.integer()?,
@@ -212,42 +212,42 @@ fn tensor(bytes: &[u8]) -> Result<(String, Tensor), NetworkError> {
         }
     }
     let shape: Option<Vec<usize>> = dims.iter().map(|&dim| usize::try_from(dim).ok()).collect();
-    let shape = shape.filter(|shape| shape.len() <= MOST_DIMENSIONS);
+    let shape = shape.filter(|shape| shape.len() <= MAX_DIMENSIONS);
     let count = shape.as_ref().and_then(|shape| shape.iter().try_fold(1_usize, |count, &dim| count.checked_mul(dim)));
     let (Some(shape), Some(count)) = (shape, count) else {
         return Err(damaged(format!("constant `{name}` has a shape that there is not")));
     };
     let numbers = match (kind, raw) {
-        _ if is_elsewhere => Numbers::Other(
+        _ if is_elsewhere => TensorData::Unsupported(
             "lies in another file, which is not read: save all in one (PyTorch: external_data=False)".to_owned(),
         ),
-        (1, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::floats)?),
-        (11, Some(raw)) => Numbers::Real(unpacked(Value::Bytes(raw), Value::doubles)?),
-        (1 | 11, None) => Numbers::Real(reals),
-        (7, None) => Numbers::Whole(wholes),
+        (1, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::floats)?),
+        (11, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::doubles)?),
+        (1 | 11, None) => TensorData::Float(reals),
+        (7, None) => TensorData::Integer(wholes),
         (7, Some(raw)) => {
             let (values, _) = raw.as_chunks::<8>();
-            Numbers::Whole(values.iter().map(|&bytes| i64::from_le_bytes(bytes)).collect())
+            TensorData::Integer(values.iter().map(|&bytes| i64::from_le_bytes(bytes)).collect())
         }
-        (other, _) => Numbers::Other(format!(
+        (other, _) => TensorData::Unsupported(format!(
             "holds numbers of kind {other}, of which 1 (single) and 11 (double precision) are read"
         )),
     };
     let found = match &numbers {
-        Numbers::Real(numbers) => numbers.len(),
-        Numbers::Whole(numbers) => numbers.len(),
-        Numbers::Other(_) => count,
+        TensorData::Float(numbers) => numbers.len(),
+        TensorData::Integer(numbers) => numbers.len(),
+        TensorData::Unsupported(_) => count,
     };
     if found != count {
         let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
         return Err(damaged(problem));
     }
-    Ok((name, Tensor { shape, numbers }))
+    Ok((name, OnnxTensor { shape, data: numbers }))
 }
 
-fn unpacked<'a, T>(
-    value: Value<'a>,
-    into: impl Fn(Value<'a>, &mut Vec<T>) -> Result<(), NetworkError>,
+fn unpack<'a, T>(
+    value: WireValue<'a>,
+    into: impl Fn(WireValue<'a>, &mut Vec<T>) -> Result<(), NetworkError>,
 ) -> Result<Vec<T>, NetworkError> {
     let mut all = Vec::new();
     into(value, &mut all)?;
@@ -255,17 +255,17 @@ fn unpacked<'a, T>(
 }
 
 /// The name of an input or an answer, and its shape where it is said.
-fn value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
+fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {
     let (mut name, mut shape) = (String::new(), None);
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         match field {
             1 => name = value.text()?,
             // Type, of a tensor, its shape.
             2 => {
-                let tensor = field_of(value.bytes()?, 1)?;
-                let said = tensor.map(|tensor| field_of(tensor, 2)).transpose()?.flatten();
-                shape = said.map(dimensions).transpose()?;
+                let tensor = find_field(value.bytes()?, 1)?;
+                let said = tensor.map(|tensor| find_field(tensor, 2)).transpose()?.flatten();
+                shape = said.map(parse_dimensions).transpose()?;
             }
             _ => {}
         }
@@ -273,9 +273,9 @@ fn value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError
     Ok((name, shape))
 }
 
-fn field_of(bytes: &[u8], wanted: u64) -> Result<Option<&[u8]>, NetworkError> {
+fn find_field(bytes: &[u8], wanted: u64) -> Result<Option<&[u8]>, NetworkError> {
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         if field == wanted {
             return value.bytes().map(Some);
         }
@@ -283,22 +283,22 @@ fn field_of(bytes: &[u8], wanted: u64) -> Result<Option<&[u8]>, NetworkError> {
     Ok(None)
 }
 
-fn dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
+fn parse_dimensions(bytes: &[u8]) -> Result<Vec<usize>, NetworkError> {
     let mut all = Vec::new();
     let mut rest = Message(bytes);
-    while let Some((field, value)) = rest.next()? {
+    while let Some((field, value)) = rest.next_field()? {
         if field != 1 {
             continue;
         }
         let mut size = 1;
         let mut dimension = Message(value.bytes()?);
-        while let Some((field, value)) = dimension.next()? {
+        while let Some((field, value)) = dimension.next_field()? {
             if field == 1 {
                 size = usize::try_from(value.integer()?).unwrap_or(1).max(1);
             }
         }
-        if all.len() == MOST_DIMENSIONS {
-            return Err(damaged(format!("an input of more than {MOST_DIMENSIONS} dimensions")));
+        if all.len() == MAX_DIMENSIONS {
+            return Err(damaged(format!("an input of more than {MAX_DIMENSIONS} dimensions")));
         }
         all.push(size);
     }

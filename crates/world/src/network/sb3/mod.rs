@@ -7,25 +7,25 @@
 //! file, and often tells whether there was one (`normalisation`).
 
 mod normalisation;
-mod saved;
+mod saved_model;
 mod space;
 mod weights;
 
 use serde::Deserialize;
 use serde_json::Value;
 
-pub use normalisation::{Normalisation, Statistics, VecNormalizeTrace};
-pub use saved::SavedModel;
+pub use normalisation::{Normalisation, VecNormalizeStats, VecNormalizeUse};
+pub use saved_model::SavedModel;
 pub use space::BoxSpace;
 
 use super::archive::Archive;
-use super::error::shown;
+use super::error::sanitized;
 use super::pickle::Pickle;
 use super::{Elementwise, FeedForward, NetworkError, Step};
 use weights::Weights;
 
 /// Longest description of a model, in bytes.
-const MOST_DATA_BYTES: usize = 8 << 20;
+const MAX_DATA_BYTES: usize = 8 << 20;
 
 /// What is needed of `data`.
 #[derive(Deserialize)]
@@ -38,18 +38,18 @@ struct Data {
     #[serde(default)]
     use_sde: bool,
     #[serde(default, rename = "_last_obs")]
-    last: Value,
+    last_obs: Value,
 }
 
 /// What a model can be saved without, and cannot be read without.
-const NEEDED: [&str; 3] = ["policy_class", "observation_space", "action_space"];
+const REQUIRED_FIELDS: [&str; 3] = ["policy_class", "observation_space", "action_space"];
 
 /// The way for what is not followed.
-pub(super) const AS_A_PROCESS: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
+pub(super) const PROCESS_HINT: &str = "a program that loads the model and answers with `predict` can drive instead (`exec:`, docs/controllers.md, Processes)";
 
 /// How the actor of an algorithm is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Actor {
+enum ActorKind {
     /// PPO and A2C: the mean of the actions, cut to their space.
     OnPolicy,
     /// SAC: tanh of the mean.
@@ -63,31 +63,31 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
 }
 
 /// What is not followed, and the way that is left.
-fn not_followed<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
-    unsupported(format!("{what}; {AS_A_PROCESS}"))
+fn unsupported_with_hint<T>(what: impl std::fmt::Display) -> Result<T, NetworkError> {
+    unsupported(format!("{what}; {PROCESS_HINT}"))
 }
 
 /// Reads the actor of a model, and what the model says of itself.
 pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkError> {
     if weights::is_legacy(bytes) {
-        return Err(weights::legacy("it is a file of `torch.save`, not a model of Stable-Baselines3, and"));
+        return Err(weights::legacy_error("it is a file of `torch.save`, not a model of Stable-Baselines3, and"));
     }
     let archive = Archive::read(bytes)?;
     let data = archive.member("data")?;
-    if data.len() > MOST_DATA_BYTES {
-        return unsupported(format!("its member `data` has more than {MOST_DATA_BYTES} bytes"));
+    if data.len() > MAX_DATA_BYTES {
+        return unsupported(format!("its member `data` has more than {MAX_DATA_BYTES} bytes"));
     }
-    let wrong = |error: serde_json::Error| NetworkError::damaged("member `data`", shown(&error.to_string()));
+    let wrong = |error: serde_json::Error| NetworkError::damaged("member `data`", sanitized(&error.to_string()));
     let settings: serde_json::Map<String, Value> = serde_json::from_slice(data).map_err(wrong)?;
-    if let Some(missing) = NEEDED.into_iter().find(|needed| !settings.contains_key(*needed)) {
+    if let Some(missing) = REQUIRED_FIELDS.into_iter().find(|needed| !settings.contains_key(*needed)) {
         return unsupported(format!(
             "it was saved without its `{missing}`, which says what it sees or answers: save it without `exclude` of that"
         ));
     }
     let data = Data::deserialize(&settings).map_err(wrong)?;
-    let (actor, class) = Actor::of(&data.policy_class)?;
-    let observed = space::of(&data.observation_space, "observation_space")?;
-    let actions = space::of(&data.action_space, "action_space")?;
+    let (actor, class) = ActorKind::from_policy_class(&data.policy_class)?;
+    let observed = space::read_box(&data.observation_space, "observation_space")?;
+    let actions = space::read_box(&data.action_space, "action_space")?;
     let weights = Weights::read(archive.member("policy.pth")?)?;
     let mut steps = actor.steps(&weights, &data)?;
     if let Some(Step::Linear(last)) = steps.iter().rev().find(|step| matches!(step, Step::Linear(_)))
@@ -96,34 +96,34 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
         let problem = format!("its actor has {} answers for {} actions", last.biases.len(), actions.low.len());
         return Err(NetworkError::damaged("model", problem));
     }
-    steps.extend(actor.ending(&data, actions.clone()));
+    steps.extend(actor.output_steps(&data, actions.clone()));
     let original = settings.get("_last_original_obs");
     let saved = SavedModel {
-        algorithm: saved::algorithm(class, &settings),
-        version: saved::version(&archive),
-        trace: VecNormalizeTrace::of(&data.last, original, actor == Actor::OnPolicy),
-        observations: observed,
-        actions,
+        algorithm: saved_model::algorithm(class, &settings),
+        version: saved_model::sb3_version(&archive),
+        vec_normalize: VecNormalizeUse::from_observations(&data.last_obs, original, actor == ActorKind::OnPolicy),
+        observation_space: observed,
+        action_space: actions,
     };
-    Ok((FeedForward::new(saved.observations.low.len(), steps)?, saved))
+    Ok((FeedForward::new(saved.observation_space.low.len(), steps)?, saved))
 }
 
-impl Actor {
+impl ActorKind {
     /// By the class of the policy, and the name of that.
-    fn of(class: &Value) -> Result<(Self, &'static str), NetworkError> {
-        let bytes = space::serialized(class, "policy_class")?;
+    fn from_policy_class(class: &Value) -> Result<(Self, &'static str), NetworkError> {
+        let bytes = space::serialized_bytes(class, "policy_class")?;
         let pickle = Pickle::read(&bytes)?;
         let Some((module, name)) = pickle.global(pickle.top) else {
-            return not_followed("its policy is a class of its own, which is not followed");
+            return unsupported_with_hint("its policy is a class of its own, which is not followed");
         };
         match (module, name) {
             ("stable_baselines3.common.policies", "ActorCriticPolicy") => Ok((Self::OnPolicy, "ActorCriticPolicy")),
             ("stable_baselines3.sac.policies", "SACPolicy") => Ok((Self::SoftActorCritic, "SACPolicy")),
             ("stable_baselines3.td3.policies", "TD3Policy") => Ok((Self::Deterministic, "TD3Policy")),
-            _ => not_followed(format_args!(
+            _ => unsupported_with_hint(format_args!(
                 "its policy `{}.{}` is not followed: PPO, A2C, SAC, TD3 and DDPG with MlpPolicy are",
-                shown(module),
-                shown(name)
+                sanitized(module),
+                sanitized(name)
             )),
         }
     }
@@ -133,12 +133,12 @@ impl Actor {
         let told = &data.policy_kwargs;
         let class = told.get("features_extractor_class").and_then(Value::as_str);
         if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
-            return not_followed("it has a features extractor of its own, which is not followed");
+            return unsupported_with_hint("it has a features extractor of its own, which is not followed");
         }
         let activation = activation(told, self)?;
         let mut steps = Vec::new();
         let mut hidden = |name: &str| -> Result<(), NetworkError> {
-            for layer in weights.sequence(name)? {
+            for layer in weights.sequential_layers(name)? {
                 steps.push(Step::Linear(layer));
                 steps.extend(activation.clone().map(Step::Each));
             }
@@ -148,13 +148,13 @@ impl Actor {
             Self::OnPolicy => {
                 hidden("mlp_extractor.shared_net")?;
                 hidden("mlp_extractor.policy_net")?;
-                steps.push(Step::Linear(weights.layer("action_net")?));
+                steps.push(Step::Linear(weights.linear_layer("action_net")?));
             }
             Self::SoftActorCritic => {
                 hidden("actor.latent_pi")?;
                 // With state-dependent noise the mean is cut.
                 let is_cut = weights.has("actor.mu.0.weight");
-                let mean = weights.layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
+                let mean = weights.linear_layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
                 let width = mean.biases.len();
                 steps.push(Step::Linear(mean));
                 if is_cut {
@@ -170,11 +170,11 @@ impl Actor {
                 }
             }
         }
-        if steps.is_empty() { not_followed("its policy has no layers of the names that are known") } else { Ok(steps) }
+        if steps.is_empty() { unsupported_with_hint("its policy has no layers of the names that are known") } else { Ok(steps) }
     }
 
     /// From the actor's answer into the space of actions.
-    fn ending(self, data: &Data, actions: BoxSpace) -> Vec<Step> {
+    fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<Step> {
         let is_told = data.policy_kwargs.get("squash_output").and_then(Value::as_bool) == Some(true);
         let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
         let BoxSpace { low, high } = actions;
@@ -196,14 +196,14 @@ impl Actor {
 }
 
 /// What hidden layers do to their numbers; nothing for the identity.
-fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, NetworkError> {
+fn activation(told: &Value, actor: ActorKind) -> Result<Option<Elementwise>, NetworkError> {
     let Some(said) = told.get("activation_fn") else {
-        return Ok(Some(if actor == Actor::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));
+        return Ok(Some(if actor == ActorKind::OnPolicy { Elementwise::Tanh } else { Elementwise::Relu }));
     };
     let said = said.as_str().unwrap_or_default();
     let name = said.trim_end_matches("'>").rsplit('.').next().unwrap_or_default();
     if !said.contains("torch.nn.modules.") {
-        return not_followed(format_args!("its activation function `{}` is not one of PyTorch's", shown(said)));
+        return unsupported_with_hint(format_args!("its activation function `{}` is not one of PyTorch's", sanitized(said)));
     }
     Ok(Some(match name {
         "Tanh" => Elementwise::Tanh,
@@ -212,6 +212,6 @@ fn activation(told: &Value, actor: Actor) -> Result<Option<Elementwise>, Network
         "LeakyReLU" => Elementwise::LeakyRelu { slope: 0.01 },
         "ELU" => Elementwise::Elu { alpha: 1.0 },
         "Identity" => return Ok(None),
-        _ => return not_followed(format_args!("its activation function `{}` is not followed", shown(name))),
+        _ => return unsupported_with_hint(format_args!("its activation function `{}` is not followed", sanitized(name))),
     }))
 }

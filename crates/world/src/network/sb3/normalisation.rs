@@ -11,16 +11,16 @@ use super::super::pickle::Pickle;
 use super::space;
 
 /// Longest file of statistics that is read, in bytes.
-const MOST_BYTES: u64 = 16 << 20;
+const MAX_BYTES: u64 = 16 << 20;
 
 /// Most names of a folder that are looked at.
-const MOST_NAMES: usize = 10_000;
+const MAX_DIR_ENTRIES: usize = 10_000;
 
 /// What a model's file tells of `VecNormalize`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum VecNormalizeTrace {
+pub enum VecNormalizeUse {
     /// It was trained without, or with one that changed no observation.
     None,
     /// It was trained behind one. Whether that normalised observations or rewards alone is not in the file.
@@ -29,15 +29,15 @@ pub enum VecNormalizeTrace {
     Unknown,
 }
 
-impl VecNormalizeTrace {
+impl VecNormalizeUse {
     /// By the last observation, before and after `VecNormalize`. Algorithms that learn on policy keep the first of them for
     /// nothing else, and leave it empty without; the others always keep one: without `VecNormalize` that of the step before.
-    pub(super) fn of(last: &Value, original: Option<&Value>, is_on_policy: bool) -> Self {
+    pub(super) fn from_observations(last: &Value, original: Option<&Value>, is_on_policy: bool) -> Self {
         let Some(original) = original else { return Self::Unknown };
         if original.is_null() {
             return if is_on_policy && !last.is_null() { Self::None } else { Self::Unknown };
         }
-        match (numbers(last), numbers(original)) {
+        match (observation_values(last), observation_values(original)) {
             (Some(last), Some(original)) if last == original => Self::None,
             _ if is_on_policy => Self::Behind,
             _ => Self::Unknown,
@@ -45,10 +45,10 @@ impl VecNormalizeTrace {
     }
 }
 
-fn numbers(array: &Value) -> Option<Vec<f64>> {
-    let bytes = space::serialized(array, "_last_obs").ok()?;
+fn observation_values(array: &Value) -> Option<Vec<f64>> {
+    let bytes = space::serialized_bytes(array, "_last_obs").ok()?;
     let pickle = Pickle::read(&bytes).ok()?;
-    space::numbers(&pickle, pickle.top)
+    space::observation_values(&pickle, pickle.top)
 }
 
 /// What `VecNormalize` did to observations, as its own file says.
@@ -66,23 +66,23 @@ pub struct Normalisation {
 /// What a file of statistics says.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub enum Statistics {
+pub enum VecNormalizeStats {
     /// Rewards alone were normalised, if anything.
-    OfRewards,
+    RewardsOnly,
     /// Observations were normalised so.
-    OfObservations(Normalisation),
+    Observations(Normalisation),
     /// It cannot be read, or has another form.
     Unreadable,
 }
 
-impl Statistics {
+impl VecNormalizeStats {
     /// Reads a pickle of `VecNormalize` as dead data: nothing in it is called.
     #[must_use]
     pub fn load(path: &Path) -> Self {
         let mut bytes = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
+        let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
         match read {
-            Ok(_) if bytes.len() as u64 <= MOST_BYTES => Self::read(&bytes).unwrap_or(Self::Unreadable),
+            Ok(_) if bytes.len() as u64 <= MAX_BYTES => Self::read(&bytes).unwrap_or(Self::Unreadable),
             _ => Self::Unreadable,
         }
     }
@@ -90,15 +90,15 @@ impl Statistics {
     fn read(bytes: &[u8]) -> Option<Self> {
         let pickle = Pickle::read(bytes).ok()?;
         let whole = pickle.call(pickle.top)?;
-        if pickle.global(whole.of)?.1 != "VecNormalize" {
+        if pickle.global(whole.callee)?.1 != "VecNormalize" {
             return None;
         }
         let field = |name| pickle.entry(whole.state?, name);
-        if !pickle.truth(field("norm_obs")?)? {
-            return Some(Self::OfRewards);
+        if !pickle.boolean(field("norm_obs")?)? {
+            return Some(Self::RewardsOnly);
         }
         let running = pickle.call(field("obs_rms")?)?;
-        let numbers = |name| space::numbers(&pickle, pickle.entry(running.state?, name)?);
+        let numbers = |name| space::observation_values(&pickle, pickle.entry(running.state?, name)?);
         let (means, variances) = (numbers("mean")?, numbers("var")?);
         let (epsilon, limit) = (pickle.number(field("epsilon")?)?, pickle.number(field("clip_obs")?)?);
         let deviations: Vec<f64> = variances.iter().map(|variance| (variance + epsilon).sqrt()).collect();
@@ -107,28 +107,28 @@ impl Statistics {
             && deviations.iter().all(|deviation| deviation.is_finite() && *deviation > 0.0)
             && limit.is_finite()
             && limit > 0.0;
-        is_usable.then_some(Self::OfObservations(Normalisation { means, deviations, limit }))
+        is_usable.then_some(Self::Observations(Normalisation { means, deviations, limit }))
     }
 
     /// The file that seems to belong to a model: beside it under the names that Stable-Baselines3 and its users write
     /// (`rl_model_vecnormalize_128_steps.pkl` for `rl_model_128_steps.zip`), or below it, where RL Zoo writes it.
     #[must_use]
-    pub fn beside(model: &Path) -> Option<PathBuf> {
+    pub fn find_for_model(model: &Path) -> Option<PathBuf> {
         let folder = match model.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        let (mut found, folders) = statistics_in(folder);
+        let (mut found, folders) = list_statistics(folder);
         if found.is_empty() {
             // RL Zoo makes a folder that is called like the model, and keeps the settings of the training in it.
             let own = model.with_extension("");
             let is_of_training = |below: &PathBuf| *below == own || below.join("config.yml").is_file();
             let mut below: Vec<PathBuf> = folders.into_iter().filter(is_of_training).collect();
             below.sort();
-            found = below.into_iter().flat_map(|below| statistics_in(&below).0).collect();
+            found = below.into_iter().flat_map(|below| list_statistics(&below).0).collect();
         }
-        let of_checkpoint = model.file_stem().and_then(|stem| stem.to_str()).and_then(of_checkpoint);
-        let is_own = |path: &&PathBuf| of_checkpoint.is_some() && plain_name(path) == of_checkpoint;
+        let of_checkpoint = model.file_stem().and_then(|stem| stem.to_str()).and_then(checkpoint_stats_name);
+        let is_own = |path: &&PathBuf| of_checkpoint.is_some() && file_name(path) == of_checkpoint;
         found.iter().find(is_own).or(found.first()).map(|path| match path.strip_prefix("./") {
             Ok(path) => path.to_owned(),
             Err(_) => path.clone(),
@@ -136,20 +136,20 @@ impl Statistics {
     }
 }
 
-fn plain_name(path: &Path) -> Option<String> {
+fn file_name(path: &Path) -> Option<String> {
     path.file_name().and_then(|name| name.to_str()).map(str::to_owned)
 }
 
 /// `PREFIX_vecnormalize_N_steps.pkl` for `PREFIX_N_steps`, as `CheckpointCallback` calls them.
-fn of_checkpoint(stem: &str) -> Option<String> {
+fn checkpoint_stats_name(stem: &str) -> Option<String> {
     let (prefix, count) = stem.strip_suffix("_steps")?.rsplit_once('_')?;
     Some(format!("{prefix}_vecnormalize_{count}_steps.pkl"))
 }
 
 /// Statistics in a folder in the order of their names, and the folders in it.
-fn statistics_in(folder: &Path) -> (Vec<PathBuf>, Vec<PathBuf>) {
+fn list_statistics(folder: &Path) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let (mut found, mut folders) = (Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder).into_iter().flatten().take(MOST_NAMES).flatten() {
+    for entry in fs::read_dir(folder).into_iter().flatten().take(MAX_DIR_ENTRIES).flatten() {
         let name = entry.file_name().to_string_lossy().to_lowercase();
         let is_theirs = ["vecnormalize", "vec_normalize"].iter().any(|theirs| name.contains(theirs));
         if is_theirs && [".pkl", ".pickle"].iter().any(|ending| name.ends_with(ending)) {
@@ -187,21 +187,21 @@ mod tests {
             if let Some(wanted) = &wanted {
                 fs::write(wanted, "").unwrap();
             }
-            assert_eq!(Statistics::beside(&folder.path().join(model)), wanted, "{model}");
+            assert_eq!(VecNormalizeStats::beside(&folder.path().join(model)), wanted, "{model}");
         }
         let folder = tempfile::tempdir().unwrap();
         for steps in [128, 256] {
             fs::write(folder.path().join(format!("rl_model_vecnormalize_{steps}_steps.pkl")), "").unwrap();
         }
-        let found = Statistics::beside(&folder.path().join("rl_model_256_steps.zip"));
+        let found = VecNormalizeStats::beside(&folder.path().join("rl_model_256_steps.zip"));
         assert_eq!(found, Some(folder.path().join("rl_model_vecnormalize_256_steps.pkl")));
     }
 
     #[test]
     fn what_is_no_pickle_of_statistics_is_unreadable() {
-        assert_eq!(Statistics::load(Path::new("there/is/none.pkl")), Statistics::Unreadable);
+        assert_eq!(VecNormalizeStats::load(Path::new("there/is/none.pkl")), VecNormalizeStats::Unreadable);
         for bytes in [&b""[..], b"\x80\x04N.", b"\x80\x04)."] {
-            assert_eq!(Statistics::read(bytes), None);
+            assert_eq!(VecNormalizeStats::read(bytes), None);
         }
     }
 }

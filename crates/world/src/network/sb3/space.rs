@@ -3,8 +3,8 @@
 use serde_json::Value;
 
 use super::super::NetworkError;
-use super::super::error::shown;
-use super::super::pickle::{Id, Object, Pickle};
+use super::super::error::sanitized;
+use super::super::pickle::{ValueId, Object, Pickle};
 
 /// A space of observations or actions: a box of numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +19,7 @@ pub struct BoxSpace {
 impl BoxSpace {
     /// Between which bounds a number lies.
     #[must_use]
-    pub fn of(&self, index: usize) -> Option<(f64, f64)> {
+    pub fn bounds(&self, index: usize) -> Option<(f64, f64)> {
         Some((f64::from(*self.low.get(index)?), f64::from(*self.high.get(index)?)))
     }
 }
@@ -29,30 +29,30 @@ fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
 }
 
 /// The pickle of a member of `data`.
-pub(super) fn serialized(value: &Value, field: &str) -> Result<Vec<u8>, NetworkError> {
+pub(super) fn serialized_bytes(value: &Value, field: &str) -> Result<Vec<u8>, NetworkError> {
     let text = value.get(":serialized:").and_then(Value::as_str);
-    let bytes = text.and_then(base64);
+    let bytes = text.and_then(decode_base64);
     bytes.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} holds no serialized object")))
 }
 
 /// The space in a member of `data`, which must be a box.
-pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
-    let bytes = serialized(value, field)?;
+pub(super) fn read_box(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
+    let bytes = serialized_bytes(value, field)?;
     let pickle = Pickle::read(&bytes)?;
     let call = pickle.call(pickle.top);
-    let class = call.and_then(|call| pickle.global(call.of));
+    let class = call.and_then(|call| pickle.global(call.callee));
     let (Some(call), Some((module, name))) = (call, class) else {
         return unsupported(format!("its {field} is not one of Gymnasium's"));
     };
     if !(module.ends_with("spaces.box") && name == "Box") {
         return unsupported(format!(
             "its {field} is `{}`, and only Box, of a fixed count of numbers, is followed; {}",
-            shown(name),
-            super::AS_A_PROCESS
+            sanitized(name),
+            super::PROCESS_HINT
         ));
     }
     let bound = |name: &str| {
-        let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| numbers(&pickle, id));
+        let array = call.state.and_then(|state| pickle.entry(state, name)).and_then(|id| array_values(&pickle, id));
         let array = array.map(|array| array.into_iter().map(|bound| bound as f32).collect::<Vec<_>>());
         array.ok_or_else(|| NetworkError::damaged("member `data`", format!("{field} has no readable bound `{name}`")))
     };
@@ -64,9 +64,9 @@ pub(super) fn of(value: &Value, field: &str) -> Result<BoxSpace, NetworkError> {
 }
 
 /// The numbers of a NumPy array, in either of the forms in which it is pickled.
-pub(super) fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f64>> {
+pub(super) fn array_values(pickle: &Pickle<'_>, id: ValueId) -> Option<Vec<f64>> {
     let call = pickle.call(id)?;
-    let (_, name) = pickle.global(call.of)?;
+    let (_, name) = pickle.global(call.callee)?;
     let (bytes, kind) = match name {
         // bytes, type, shape, order
         "_frombuffer" => {
@@ -82,7 +82,7 @@ pub(super) fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f64>> {
     };
     let Object::Bytes(bytes) = pickle.get(bytes) else { return None };
     let kind = pickle.call(kind)?;
-    match (pickle.text(*pickle.tuple(kind.arguments)?.first()?)?, is_little(pickle, kind.state)) {
+    match (pickle.text(*pickle.tuple(kind.arguments)?.first()?)?, is_little_endian(pickle, kind.state)) {
         ("f4", true) => {
             let (numbers, rest) = bytes.as_chunks::<4>();
             rest.is_empty().then(|| numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect())
@@ -96,13 +96,13 @@ pub(super) fn numbers(pickle: &Pickle<'_>, id: Id) -> Option<Vec<f64>> {
 }
 
 /// Whether a type's numbers begin with their lowest byte.
-fn is_little(pickle: &Pickle<'_>, state: Option<Id>) -> bool {
+fn is_little_endian(pickle: &Pickle<'_>, state: Option<ValueId>) -> bool {
     let order = state.and_then(|state| pickle.tuple(state)).and_then(|state| state.get(1).copied());
     order.and_then(|order| pickle.text(order)) == Some("<")
 }
 
 /// Bytes written in the 64 letters of RFC 4648, section 4.
-fn base64(text: &str) -> Option<Vec<u8>> {
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
     let (mut bits, mut count) = (0_u32, 0);
     for letter in text.trim_end().trim_end_matches('=').bytes() {

@@ -3,11 +3,11 @@
 use std::cell::Cell;
 
 use super::super::archive::Archive;
-use super::super::pickle::{Id, Object, Pickle};
-use super::super::{Linear, MOST_PARAMETERS, NetworkError};
+use super::super::pickle::{ValueId, Object, Pickle};
+use super::super::{Linear, MAX_PARAMETERS, NetworkError};
 
 /// Deepest sequence of layers that is followed.
-const MOST_LAYERS: usize = 64;
+const MAX_LAYERS: usize = 64;
 
 /// The tensors of a policy by name.
 pub(super) struct Weights<'a> {
@@ -15,12 +15,12 @@ pub(super) struct Weights<'a> {
     folder: String,
     pickle: Pickle<'a>,
     /// Numbers that were taken out.
-    taken: Cell<usize>,
+    parameter_count: Cell<usize>,
 }
 
 /// A tensor as the pickle describes it.
-struct Tensor<'p> {
-    storage: &'p [Id],
+struct TensorLayout<'p> {
+    storage: &'p [ValueId],
     offset: usize,
     shape: Vec<usize>,
     strides: Vec<usize>,
@@ -39,7 +39,7 @@ pub(super) fn is_legacy(bytes: &[u8]) -> bool {
 }
 
 /// Returns the error for a file of PyTorch's old format.
-pub(super) fn legacy(what: &str) -> NetworkError {
+pub(super) fn legacy_error(what: &str) -> NetworkError {
     NetworkError::Unsupported(format!(
         "{what} in the format of PyTorch before 1.6, which is not a zip archive: load the model with Stable-Baselines3 and PyTorch 1.6 \
          or later, and save it again, as in `PPO.load(\"old\").save(\"new\")`"
@@ -49,19 +49,19 @@ pub(super) fn legacy(what: &str) -> NetworkError {
 impl<'a> Weights<'a> {
     pub(super) fn read(bytes: &'a [u8]) -> Result<Self, NetworkError> {
         if is_legacy(bytes) {
-            return Err(legacy("its weights, `policy.pth`, are"));
+            return Err(legacy_error("its weights, `policy.pth`, are"));
         }
         let archive = Archive::read(bytes)?;
-        let name = archive.only_ending("/data.pkl")?.to_owned();
+        let name = archive.only_member_with_suffix("/data.pkl")?.to_owned();
         let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
-        if archive.has_ending("/byteorder") && archive.member(&format!("{folder}byteorder"))? != b"little" {
+        if archive.has_member_with_suffix("/byteorder") && archive.member(&format!("{folder}byteorder"))? != b"little" {
             return Err(NetworkError::Unsupported("its numbers begin with their highest byte".to_owned()));
         }
         let pickle = Pickle::read(archive.member(&name)?)?;
         if pickle.entries(pickle.top).is_none() {
             return Err(damaged("it holds no tensors by name"));
         }
-        Ok(Self { archive, folder, pickle, taken: Cell::new(0) })
+        Ok(Self { archive, folder, pickle, parameter_count: Cell::new(0) })
     }
 
     pub(super) fn has(&self, name: &str) -> bool {
@@ -75,10 +75,10 @@ impl<'a> Weights<'a> {
     }
 
     /// The layers of a sequence, with one activation after each: `NAME.0`, `NAME.2`, and so on.
-    pub(super) fn sequence(&self, name: &str) -> Result<Vec<Linear>, NetworkError> {
+    pub(super) fn sequential_layers(&self, name: &str) -> Result<Vec<Linear>, NetworkError> {
         let mut layers = Vec::new();
-        while layers.len() < MOST_LAYERS && self.has(&format!("{name}.{}.weight", 2 * layers.len())) {
-            layers.push(self.layer(&format!("{name}.{}", 2 * layers.len()))?);
+        while layers.len() < MAX_LAYERS && self.has(&format!("{name}.{}.weight", 2 * layers.len())) {
+            layers.push(self.linear_layer(&format!("{name}.{}", 2 * layers.len()))?);
         }
         let prefix = format!("{name}.");
         let own = self.pickle.entries(self.pickle.top).unwrap_or_default().iter();
@@ -94,7 +94,7 @@ impl<'a> Weights<'a> {
     }
 
     /// A fully connected layer.
-    pub(super) fn layer(&self, name: &str) -> Result<Linear, NetworkError> {
+    pub(super) fn linear_layer(&self, name: &str) -> Result<Linear, NetworkError> {
         let (shape, by_output) = self.tensor(&format!("{name}.weight"))?;
         let (bias_shape, biases) = self.tensor(&format!("{name}.bias"))?;
         let ([outputs, inputs], [bias_count]) = (shape.as_slice(), bias_shape.as_slice()) else {
@@ -111,7 +111,7 @@ impl<'a> Weights<'a> {
     fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), NetworkError> {
         let missing = || damaged(format!("it has no tensor `{name}`"));
         let id = self.pickle.entry(self.pickle.top, name).ok_or_else(missing)?;
-        let tensor = self.described(id).ok_or_else(|| damaged(format!("`{name}` is no tensor")))?;
+        let tensor = self.tensor_layout(id).ok_or_else(|| damaged(format!("`{name}` is no tensor")))?;
         let [_, kind, key, ..] = tensor.storage else { return Err(damaged(format!("`{name}` lies nowhere"))) };
         let size = match self.pickle.global(*kind) {
             Some(("torch", "FloatStorage")) => 4,
@@ -120,13 +120,13 @@ impl<'a> Weights<'a> {
         };
         let key = self.pickle.text(*key).ok_or_else(|| damaged(format!("`{name}` lies nowhere")))?;
         let count = tensor.shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
-        let Some(count) = count.filter(|count| self.taken.get().saturating_add(*count) <= MOST_PARAMETERS) else {
+        let Some(count) = count.filter(|count| self.parameter_count.get().saturating_add(*count) <= MAX_PARAMETERS) else {
             return Err(NetworkError::TooManyParameters);
         };
-        self.taken.set(self.taken.get() + count);
+        self.parameter_count.set(self.parameter_count.get() + count);
         let bytes = self.archive.member(&format!("{}data/{key}", self.folder))?;
         let number = |index: usize| {
-            let at = tensor.place(index)?.checked_mul(size)?;
+            let at = tensor.storage_index(index)?.checked_mul(size)?;
             let bytes = bytes.get(at..at.checked_add(size)?)?;
             Some(match size {
                 4 => f32::from_le_bytes(bytes.try_into().ok()?),
@@ -139,24 +139,24 @@ impl<'a> Weights<'a> {
     }
 
     /// What a call of PyTorch's function for tensors says: storage, offset, shape and strides.
-    fn described(&self, id: Id) -> Option<Tensor<'_>> {
+    fn tensor_layout(&self, id: ValueId) -> Option<TensorLayout<'_>> {
         let call = self.pickle.call(id)?;
-        if self.pickle.global(call.of)? != ("torch._utils", "_rebuild_tensor_v2") {
+        if self.pickle.global(call.callee)? != ("torch._utils", "_rebuild_tensor_v2") {
             return None;
         }
         let [storage, offset, shape, strides, ..] = self.pickle.tuple(call.arguments)? else { return None };
-        let Object::Outside(storage) = self.pickle.get(*storage) else { return None };
-        let size = |id: &Id| usize::try_from(self.pickle.integer(*id)?).ok();
+        let Object::PersistentId(storage) = self.pickle.get(*storage) else { return None };
+        let size = |id: &ValueId| usize::try_from(self.pickle.integer(*id)?).ok();
         let shape: Vec<usize> = self.pickle.tuple(*shape)?.iter().map(size).collect::<Option<_>>()?;
         let strides: Vec<usize> = self.pickle.tuple(*strides)?.iter().map(size).collect::<Option<_>>()?;
         let fits = shape.len() == strides.len();
-        fits.then_some(Tensor { storage: self.pickle.tuple(*storage)?, offset: size(offset)?, shape, strides })
+        fits.then_some(TensorLayout { storage: self.pickle.tuple(*storage)?, offset: size(offset)?, shape, strides })
     }
 }
 
-impl Tensor<'_> {
+impl TensorLayout<'_> {
     /// Where number `index` lies in the storage.
-    fn place(&self, mut index: usize) -> Option<usize> {
+    fn storage_index(&self, mut index: usize) -> Option<usize> {
         let mut place = self.offset;
         for (&size, &stride) in self.shape.iter().zip(&self.strides).rev() {
             place = place.checked_add((index % size).checked_mul(stride)?)?;

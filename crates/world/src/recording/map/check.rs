@@ -1,18 +1,18 @@
 //! What makes a map invalid.
 
-use super::{LayoutSpec, LengthSpec, MapSpec, PairsSpec, PlatoonSpec, Spacing, TimeSpec, TracksSpec};
+use super::{LayoutSpec, LengthSpec, RecordingMapSpec, PairsSpec, PlatoonSpec, Spacing, TimeSpec, TracksSpec};
 
 /// The version of the map format that this release reads.
 const MAP_VERSION: u32 = 1;
 /// Longest text of a map, in letters.
-const LONGEST_TEXT: usize = 200;
+const MAX_TEXT_LENGTH: usize = 200;
 /// Most lines before the names of columns.
-const MOST_LINES_BEFORE: usize = 1000;
+const MAX_LINES_BEFORE_NAMES: usize = 1000;
 /// Longest hole that may be filled by a straight line, in seconds.
-const LONGEST_INTERPOLATION_S: f64 = 2.0;
+const MAX_INTERPOLATION_S: f64 = 2.0;
 
 /// The first field that is wrong, and what is.
-pub(super) fn check(spec: &MapSpec) -> Result<(), (String, String)> {
+pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     let wrong = |field: &str, problem: String| Err((field.to_owned(), problem));
     if spec.version != MAP_VERSION {
         return wrong("version", format!("version {} is not supported: this release reads version 1", spec.version));
@@ -21,16 +21,16 @@ pub(super) fn check(spec: &MapSpec) -> Result<(), (String, String)> {
     if spec.name.is_empty() || spec.name.len() > 40 || !spec.name.chars().all(is_plain) {
         return wrong("name", "must be 1 to 40 lower-case letters, digits and hyphens".to_owned());
     }
-    if spec.lines_before_names > MOST_LINES_BEFORE {
+    if spec.lines_before_names > MAX_LINES_BEFORE_NAMES {
         let found = spec.lines_before_names;
-        return wrong("lines_before_names", format!("must be at most {MOST_LINES_BEFORE}, found {found}"));
+        return wrong("lines_before_names", format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"));
     }
-    within("interpolate_s", spec.interpolate_s, [0.0, LONGEST_INTERPOLATION_S])?;
+    check_range("interpolate_s", spec.interpolate_s, [0.0, MAX_INTERPOLATION_S])?;
     match &spec.time {
-        TimeSpec::Clock(clock) => named("time.clock.column", &clock.column)?,
+        TimeSpec::Clock(clock) => check_name("time.clock.column", &clock.column)?,
         TimeSpec::Frames(frames) => {
-            named("time.frames.column", &frames.column)?;
-            within("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
+            check_name("time.frames.column", &frames.column)?;
+            check_range("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
         }
     }
     match &spec.layout {
@@ -47,7 +47,7 @@ pub(super) fn check(spec: &MapSpec) -> Result<(), (String, String)> {
     Ok(())
 }
 
-impl MapSpec {
+impl RecordingMapSpec {
     /// The columns that it names, each with its field.
     fn columns(&self) -> Vec<(String, &str)> {
         let time = match &self.time {
@@ -99,20 +99,20 @@ impl TracksSpec {
 fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
     for (field, column) in [("speed", &spec.speed.column), ("spacing", &spec.spacing.column)] {
         let field = format!("layout.platoon.{field}.column");
-        named(&field, column)?;
+        check_name(&field, column)?;
         if column.matches("{}").count() != 1 {
             return Err((field, "must hold `{}` once, where the vehicle's number stands".to_owned()));
         }
     }
     for (field, line) in [("names_line", &spec.names_line), ("count_line", &spec.count_line)] {
-        line.as_ref().map_or(Ok(()), |line| named(&format!("layout.platoon.{field}"), line))?;
+        line.as_ref().map_or(Ok(()), |line| check_name(&format!("layout.platoon.{field}"), line))?;
     }
     check_length("layout.platoon", spec.spacing.from, spec.length_m)
 }
 
 fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
     for (field, column) in spec.columns() {
-        column.map_or(Ok(()), |column| named(&format!("layout.pairs.{field}"), column))?;
+        column.map_or(Ok(()), |column| check_name(&format!("layout.pairs.{field}"), column))?;
     }
     let speeds = [spec.follower_speed.is_some(), spec.leader_speed.is_some(), spec.relative_speed.is_some()];
     if speeds.into_iter().filter(|is_given| *is_given).count() < 2 {
@@ -124,11 +124,11 @@ fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
 
 fn check_tracks(spec: &TracksSpec) -> Result<(), (String, String)> {
     for (field, column) in spec.columns() {
-        column.map_or(Ok(()), |column| named(&format!("layout.tracks.{field}"), column))?;
+        column.map_or(Ok(()), |column| check_name(&format!("layout.tracks.{field}"), column))?;
     }
     match &spec.length {
         LengthSpec::Column(_) => Ok(()),
-        LengthSpec::Metres(metres) => within("layout.tracks.length.metres", *metres, [0.1, 100.0]),
+        LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", *metres, [0.1, 100.0]),
     }
 }
 
@@ -142,21 +142,21 @@ fn check_length(layout: &str, from: Spacing, length_m: Option<f64>) -> Result<()
         (Spacing::BumperToBumper, Some(_)) => {
             Err((field, "is of no use for spacings from bumper to bumper".to_owned()))
         }
-        (Spacing::FrontToFront, Some(length_m)) => within(&field, length_m, [0.1, 100.0]),
+        (Spacing::FrontToFront, Some(length_m)) => check_range(&field, length_m, [0.1, 100.0]),
         (Spacing::BumperToBumper, None) => Ok(()),
     }
 }
 
-fn named(field: &str, name: &str) -> Result<(), (String, String)> {
+fn check_name(field: &str, name: &str) -> Result<(), (String, String)> {
     let letters = name.chars().count();
-    if name.trim() != name || !(1..=LONGEST_TEXT).contains(&letters) {
-        let problem = format!("must be 1 to {LONGEST_TEXT} letters without blanks around them, found {letters}");
+    if name.trim() != name || !(1..=MAX_TEXT_LENGTH).contains(&letters) {
+        let problem = format!("must be 1 to {MAX_TEXT_LENGTH} letters without blanks around them, found {letters}");
         return Err((field.to_owned(), problem));
     }
     Ok(())
 }
 
-fn within(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (String, String)> {
+fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (String, String)> {
     if (min..=max).contains(&found) {
         Ok(())
     } else {

@@ -15,14 +15,14 @@ pub use units::{LengthUnit, SpeedUnit, TimeUnit};
 use check::check;
 
 /// Most bytes of a map.
-const MOST_MAP_BYTES: u64 = 64 << 10;
+const MAX_MAP_BYTES: u64 = 64 << 10;
 
 /// What the columns of a recording mean, as a file states it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a map: a table of fields")]
 #[cfg_attr(feature = "schema", schemars(title = "crumple map of a recording, version 1"))]
-pub struct MapSpec {
+pub struct RecordingMapSpec {
     /// Version of the format: 1.
     pub version: u32,
     /// First part of the names of imported scenarios: 1 to 40 lower-case letters, digits and hyphens.
@@ -149,7 +149,7 @@ pub struct PairsSpec {
     pub leader_speed: Option<SpeedSpec>,
     /// Column of the difference of the two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub relative_speed: Option<RelativeSpec>,
+    pub relative_speed: Option<RelativeSpeedSpec>,
 }
 
 /// One instant of one vehicle among many, as in highD and NGSIM.
@@ -186,7 +186,7 @@ pub struct SpeedSpec {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct RelativeSpec {
+pub struct RelativeSpeedSpec {
     /// Name of the column.
     pub column: String,
     /// Default: m/s.
@@ -223,7 +223,7 @@ pub struct PositionSpec {
     #[serde(default)]
     pub unit: LengthUnit,
     /// What of the vehicle is there.
-    pub of: Point,
+    pub of: ReferencePoint,
 }
 
 /// The length of vehicles.
@@ -277,7 +277,7 @@ pub enum Spacing {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Point {
+pub enum ReferencePoint {
     /// The front bumper.
     Front,
     /// Half-way between the bumpers.
@@ -291,7 +291,7 @@ pub enum Point {
 /// A map that was found valid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingMap {
-    spec: MapSpec,
+    spec: RecordingMapSpec,
 }
 
 impl RecordingMap {
@@ -300,7 +300,7 @@ impl RecordingMap {
     /// # Errors
     /// [`FileError`] for a file that cannot be read, has more than 64 KiB, or is no valid map, with line and field.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_toml(&read_at_most(path, MOST_MAP_BYTES)?, path)
+        Self::from_toml(&read_at_most(path, MAX_MAP_BYTES)?, path)
     }
 
     /// Reads a map from TOML text; `path` only names it in errors.
@@ -308,25 +308,25 @@ impl RecordingMap {
     /// # Errors
     /// [`FileError`] for text that is no valid map.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        let spec: MapSpec = parse_toml(text, path)?;
-        check(&spec).map_err(|(field, problem)| FileError::of_field(path, text, &field, problem))?;
+        let spec: RecordingMapSpec = parse_toml(text, path)?;
+        check(&spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))?;
         Ok(Self { spec })
     }
 
     /// What it says.
     #[must_use]
-    pub fn spec(&self) -> &MapSpec {
+    pub fn spec(&self) -> &RecordingMapSpec {
         &self.spec
     }
 
     /// The map of OpenACC files.
     pub(super) fn openacc() -> Result<Self, RecordingError> {
-        built_in(OPENACC)
+        parse_built_in(OPENACC)
     }
 
     /// The map of car-following events.
     pub(super) fn car_following() -> Result<Self, RecordingError> {
-        built_in(CAR_FOLLOWING)
+        parse_built_in(CAR_FOLLOWING)
     }
 }
 
@@ -336,7 +336,7 @@ pub const BUILT_IN_MAPS: [(&str, &str); 2] = [("openacc", OPENACC), ("car-follow
 const OPENACC: &str = include_str!("../built_in/openacc.toml");
 const CAR_FOLLOWING: &str = include_str!("../built_in/car-following.toml");
 
-fn built_in(text: &str) -> Result<RecordingMap, RecordingError> {
+fn parse_built_in(text: &str) -> Result<RecordingMap, RecordingError> {
     RecordingMap::from_toml(text, Path::new("built in")).map_err(|error| RecordingError::Map(Box::new(error)))
 }
 
@@ -344,5 +344,5 @@ fn built_in(text: &str) -> Result<RecordingMap, RecordingError> {
 #[cfg(feature = "schema")]
 #[must_use]
 pub fn json_schema() -> serde_json::Value {
-    schemars::schema_for!(MapSpec).to_value()
+    schemars::schema_for!(RecordingMapSpec).to_value()
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Space, file};
+use super::{ScenarioSpace, file};
 use crate::scenario::file::FileError;
 
 /// Name, one-line description and text of every built-in space.
@@ -29,7 +29,7 @@ const STEADY: &str = include_str!("built_in/steady.toml");
 /// Why there is no space of a name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum UnknownSpace {
+pub enum FindSpaceError {
     /// It is the name of no built-in one, and no file's.
     #[error("`{name}` is neither a built-in space ({}) nor a file", BUILT_IN_SPACES.map(|(known, ..)| known).join(", "))]
     Name {
@@ -44,18 +44,18 @@ pub enum UnknownSpace {
 /// A built-in space, or the one in a file, whose name has an extension.
 ///
 /// # Errors
-/// [`UnknownSpace`] if there is none.
-pub fn find_space(name: &str) -> Result<Space, UnknownSpace> {
+/// [`FindSpaceError`] if there is none.
+pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     match built_in_space(name) {
         Some(space) => Ok(space),
-        None if Path::new(name).extension().is_none() => Err(UnknownSpace::Name { name: name.to_owned() }),
+        None if Path::new(name).extension().is_none() => Err(FindSpaceError::Name { name: name.to_owned() }),
         None => Ok(file::load(Path::new(name))?),
     }
 }
 
 /// The built-in space of that name.
 #[must_use]
-pub fn built_in_space(name: &str) -> Option<Space> {
+pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
     let (_, _, text) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name)?;
     file::from_toml(text, Path::new(name)).ok()
 }

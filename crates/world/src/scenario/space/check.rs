@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use super::copula::Copula;
-use super::field::{Field, Target};
-use super::marginal::Marginal;
-use super::spec::{Base, Kind, ParameterSpec, SPACE_VERSION, SpaceSpec, Value};
-use super::{Parameter, Space};
-use crate::control::StartRefused;
+use super::field::{ParameterField, FieldTarget};
+use super::marginal::CoordinateMarginal;
+use super::spec::{Base, ValueKind, ParameterSpec, SPACE_VERSION, SpaceSpec, ParameterValue};
+use super::{SpaceParameter, ScenarioSpace};
+use crate::control::StartRefusal;
 use crate::scenario::file::FileError;
-use crate::scenario::{InvalidField, Problem, Scenario, VehicleClass, built_in, built_in_names, file, short};
+use crate::scenario::{InvalidField, FieldProblem, Scenario, VehicleClass, built_in, built_in_scenario_names, file, format_compact};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -20,7 +20,7 @@ pub struct InvalidSpace {
     /// What is wrong.
     pub problem: String,
     /// Refusal to start a program that the base scenario names, if that is what is wrong.
-    pub start_refused: Option<StartRefused>,
+    pub start_refused: Option<StartRefusal>,
 }
 
 impl InvalidSpace {
@@ -30,9 +30,9 @@ impl InvalidSpace {
     }
 
     /// Names the field of a base scenario that is invalid.
-    fn of_base(field: String, problem: Problem) -> Self {
+    fn from_base(field: String, problem: FieldProblem) -> Self {
         let words = problem.to_string();
-        let start_refused = if let Problem::StartRefused(refused) = problem { Some(refused) } else { None };
+        let start_refused = if let FieldProblem::StartRefused(refused) = problem { Some(refused) } else { None };
         Self { field, problem: words, start_refused }
     }
 }
@@ -52,10 +52,10 @@ pub const RESULT_COLUMNS: [&str; 8] = [
     "rear_class",
 ];
 
-const MOST_PARAMETERS: usize = 200;
-const MOST_COORDINATES: usize = 1000;
+const MAX_PARAMETERS: usize = 200;
+const MAX_COORDINATES: usize = 1000;
 /// Corners that are tried where several parameters together decide whether a vehicle fits: 2 to this power.
-const MOST_TOGETHER: usize = 14;
+const MAX_CORNER_PARAMETERS: usize = 14;
 
 /// Returns a unit with the exponents of this crate's units: `m/s2` and `m/s^2` are `m/s²`.
 fn with_superscripts(unit: &str) -> String {
@@ -67,11 +67,11 @@ fn class_names(between: &str) -> String {
     VehicleClass::ALL.iter().map(|class| format!("`{}`", class.name())).collect::<Vec<_>>().join(between)
 }
 
-pub(super) fn wrong<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
+pub(super) fn reject<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, InvalidSpace> {
     Err(InvalidSpace::new(field, problem))
 }
 
-impl Space {
+impl ScenarioSpace {
     /// Accepts a spec if every point of it is a valid scenario. A base scenario named as a file is looked for in `folder`.
     ///
     /// # Errors
@@ -79,19 +79,19 @@ impl Space {
     pub fn new(mut spec: SpaceSpec, folder: &Path) -> Result<Self, InvalidSpace> {
         if spec.version != SPACE_VERSION {
             let found = spec.version;
-            return wrong(
+            return reject(
                 "version",
                 format!("version {found} is not supported: this release reads version {SPACE_VERSION}"),
             );
         }
         if spec.name.is_empty() || spec.name.chars().count() > 100 || spec.name.chars().any(char::is_control) {
-            return wrong("name", "must have 1 to 100 characters, none of them a control character");
+            return reject("name", "must have 1 to 100 characters, none of them a control character");
         }
-        let base = base(&spec.base, folder)?;
+        let base = load_base(&spec.base, folder)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
-        if !(1..=MOST_PARAMETERS).contains(&spec.parameters.len()) {
+        if !(1..=MAX_PARAMETERS).contains(&spec.parameters.len()) {
             let found = spec.parameters.len();
-            return wrong("parameters", format!("must be 1 to {MOST_PARAMETERS}, found {found}"));
+            return reject("parameters", format!("must be 1 to {MAX_PARAMETERS}, found {found}"));
         }
         let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
         let lines_up = !spec.parameters.iter().any(is_place);
@@ -101,23 +101,23 @@ impl Space {
                 vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        let mut space = Self { spec, template, lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
+        let mut space = Self { spec, template, uses_gaps: lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
-            space.add(index, &mut written)?;
+            space.add_parameter(index, &mut written)?;
         }
-        if space.dimension() > MOST_COORDINATES {
+        if space.dimension() > MAX_COORDINATES {
             let found = space.dimension();
-            return wrong("parameters", format!("must have at most {MOST_COORDINATES} coordinates, found {found}"));
+            return reject("parameters", format!("must have at most {MAX_COORDINATES} coordinates, found {found}"));
         }
         let names = space.coordinate_names();
         if let Some(twice) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
-            return wrong("parameters", format!("two coordinates are called `{}`", twice.1));
+            return reject("parameters", format!("two coordinates are called `{}`", twice.1));
         }
         space.order = (0..space.parameters.len()).collect();
         space.order.sort_by_key(|&index| space.parameters.get(index).map(|p| p.target.stage()));
-        space.check_each()?;
-        space.check_together()?;
+        space.check_range_ends()?;
+        space.check_corners()?;
         if let Some(dependence) = &space.spec.dependence {
             space.copula = Some(Copula::new(dependence, &space.parameters)?);
         }
@@ -131,23 +131,23 @@ impl Space {
     }
 
     /// Adds parameter `index` of the file.
-    fn add(&mut self, index: usize, written: &mut Vec<(String, String)>) -> Result<(), InvalidSpace> {
+    fn add_parameter(&mut self, index: usize, written: &mut Vec<(String, String)>) -> Result<(), InvalidSpace> {
         let at = |field: &str| format!("parameters[{index}].{field}");
         let Some(spec) = self.spec.parameters.get(index) else { return Ok(()) };
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if !(1..=60).contains(&spec.name.len()) || !spec.name.chars().all(is_plain) {
-            return wrong(at("name"), "must be 1 to 60 letters, digits and underscores");
+            return reject(at("name"), "must be 1 to 60 letters, digits and underscores");
         }
         if KEY_COLUMNS.iter().chain(&RESULT_COLUMNS).any(|column| *column == spec.name) {
-            return wrong(at("name"), format!("`{}` is a column of every table of evaluations", spec.name));
+            return reject(at("name"), format!("`{}` is a column of every table of evaluations", spec.name));
         }
         if self.parameters.iter().any(|known| known.name == spec.name) {
-            return wrong(at("name"), format!("`{}` is the name of another parameter", spec.name));
+            return reject(at("name"), format!("`{}` is the name of another parameter", spec.name));
         }
         let field =
-            Field::find(&spec.field, &self.template).map_err(|problem| InvalidSpace::new(at("field"), problem))?;
-        if matches!(field.target, Target::Gap(_) | Target::TimeGap(_) | Target::ClosingTime(_)) && !self.lines_up {
-            return wrong(at("field"), "a space has gaps or positions, not both");
+            ParameterField::resolve(&spec.field, &self.template).map_err(|problem| InvalidSpace::new(at("field"), problem))?;
+        if matches!(field.target, FieldTarget::Gap(_) | FieldTarget::TimeGap(_) | FieldTarget::ClosingTime(_)) && !self.uses_gaps {
+            return reject(at("field"), "a space has gaps or positions, not both");
         }
         if with_superscripts(&spec.unit) != field.unit {
             let expected = match field.unit {
@@ -161,14 +161,14 @@ impl Space {
             let found =
                 if spec.unit.is_empty() { "none is given".to_owned() } else { format!("found `{}`", spec.unit) };
             let problem = format!("{expected}, {found}");
-            return wrong(at("unit"), problem);
+            return reject(at("unit"), problem);
         }
-        for write in &field.writes {
-            if let Some((_, other)) = written.iter().find(|(known, _)| overlap(known, write)) {
-                return wrong(at("field"), format!("`{write}` is set by the parameter `{other}` already"));
+        for write in &field.written_paths {
+            if let Some((_, other)) = written.iter().find(|(known, _)| is_overlapping(known, write)) {
+                return reject(at("field"), format!("`{write}` is set by the parameter `{other}` already"));
             }
         }
-        written.extend(field.writes.iter().map(|write| (write.clone(), spec.name.clone())));
+        written.extend(field.written_paths.iter().map(|write| (write.clone(), spec.name.clone())));
         let kind = field.target.kind();
         let marginal = spec
             .distribution
@@ -176,37 +176,37 @@ impl Space {
             .map_err(|(field, problem)| InvalidSpace::new(at(&format!("distribution{field}")), problem))?;
         if kind != spec.distribution.kind() {
             let problem = match kind {
-                Kind::Number => "a number is expected".to_owned(),
-                Kind::Class => format!("a class is a choice of {}", class_names(" and ")),
-                Kind::Driver => "a driver is a choice of built-in controllers".to_owned(),
+                ValueKind::Number => "a number is expected".to_owned(),
+                ValueKind::Class => format!("a class is a choice of {}", class_names(" and ")),
+                ValueKind::Driver => "a driver is a choice of built-in controllers".to_owned(),
             };
-            return wrong(at("distribution"), problem);
+            return reject(at("distribution"), problem);
         }
         let nominal = match spec.nominal {
             None => field.target.get(&self.template),
             Some(value) if value.kind() != kind => {
                 let problem = match kind {
-                    Kind::Number => "must be a number".to_owned(),
-                    Kind::Class => format!("must be {}", class_names(" or ")),
-                    Kind::Driver => "must be a built-in controller".to_owned(),
+                    ValueKind::Number => "must be a number".to_owned(),
+                    ValueKind::Class => format!("must be {}", class_names(" or ")),
+                    ValueKind::Driver => "must be a built-in controller".to_owned(),
                 };
-                return wrong(at("nominal"), format!("{problem}, found {value}"));
+                return reject(at("nominal"), format!("{problem}, found {value}"));
             }
             Some(value) => vec![value.number(); field.length],
         };
         let fits = |value: &f64| marginal.value(marginal.coordinate(*value)) - value;
         let is_off = |value: &&f64| !value.is_finite() || fits(value).abs() > 1e-9 * (1.0 + value.abs());
         if let Some(value) = nominal.iter().find(is_off) {
-            let found = short(*value);
+            let found = format_compact(*value);
             let problem = match marginal {
-                Marginal::Choice { .. } => format!("{found} is none of the values of the distribution"),
-                _ => format!("must be from {} to {}, found {found}", short(marginal.low()), short(marginal.high())),
+                CoordinateMarginal::Choice { .. } => format!("{found} is none of the values of the distribution"),
+                _ => format!("must be from {} to {}, found {found}", format_compact(marginal.low()), format_compact(marginal.high())),
             };
             let from = if spec.nominal.is_some() { "" } else { " in the base scenario" };
-            return wrong(at("nominal"), problem + from);
+            return reject(at("nominal"), problem + from);
         }
         let start = self.dimension();
-        self.parameters.push(Parameter {
+        self.parameters.push(SpaceParameter {
             name: spec.name.clone(),
             unit: field.unit,
             target: field.target,
@@ -222,19 +222,19 @@ impl Space {
     }
 
     /// Both ends of each range, with everything else nominal: fields are checked one by one, and each against a range.
-    fn check_each(&self) -> Result<(), InvalidSpace> {
+    fn check_range_ends(&self) -> Result<(), InvalidSpace> {
         let nominal = self.nominal();
         for (index, parameter) in self.parameters.iter().enumerate() {
             for end in parameter.ends() {
                 let mut values = nominal.clone();
                 values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
                 if let Err(invalid) = self.scenario(&values)
-                    && (matches!(parameter.target, Target::Gap(_)) || !together(&invalid))
+                    && (matches!(parameter.target, FieldTarget::Gap(_)) || !is_joint_problem(&invalid))
                 {
                     let name = &parameter.name;
-                    return wrong(
+                    return reject(
                         format!("parameters[{index}].distribution"),
-                        format!("with {name} = {} the scenario is invalid: {invalid}", short(end)),
+                        format!("with {name} = {} the scenario is invalid: {invalid}", format_compact(end)),
                     );
                 }
             }
@@ -244,18 +244,18 @@ impl Space {
 
     /// Where several fields decide together (places and lengths; what a script asks for and what the vehicle can do) each
     /// is at its worst at an end of its range: all corners are tried.
-    fn check_together(&self) -> Result<(), InvalidSpace> {
+    fn check_corners(&self) -> Result<(), InvalidSpace> {
         for vehicle in 0..self.template.vehicles.len() {
-            let near = |parameter: &&Parameter| {
-                let touched = parameter.target.touches();
-                let of_all = matches!(parameter.target, Target::Vehicle(None, _));
+            let near = |parameter: &&SpaceParameter| {
+                let touched = parameter.target.affected_vehicle();
+                let of_all = matches!(parameter.target, FieldTarget::Vehicle(None, _));
                 of_all || touched.is_some_and(|touched| touched == vehicle || touched + 1 == vehicle)
             };
-            let parameters: Vec<&Parameter> = self.parameters.iter().filter(near).collect();
-            if parameters.len() > MOST_TOGETHER {
+            let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
+            if parameters.len() > MAX_CORNER_PARAMETERS {
                 let found = parameters.len();
-                let problem = format!("at most {MOST_TOGETHER} may vary on two successive vehicles, found {found}");
-                return wrong("parameters", problem);
+                let problem = format!("at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}");
+                return reject("parameters", problem);
             }
             for corner in 0..1_usize << parameters.len() {
                 let mut values = self.nominal();
@@ -266,7 +266,7 @@ impl Space {
                 }
                 if let Err(invalid) = self.scenario(&values) {
                     let names: Vec<_> = parameters.iter().map(|p| format!("`{}`", p.name)).collect();
-                    return wrong("parameters", format!("{} do not fit together: {invalid}", names.join(", ")));
+                    return reject("parameters", format!("{} do not fit together: {invalid}", names.join(", ")));
                 }
             }
         }
@@ -275,40 +275,40 @@ impl Space {
 }
 
 /// Whether two paths name one field, or one of them a part of the other.
-fn overlap(a: &str, b: &str) -> bool {
+fn is_overlapping(a: &str, b: &str) -> bool {
     let is_part =
         |part: &str, of: &str| part.strip_prefix(of).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
     is_part(a, b) || is_part(b, a)
 }
 
 /// Whether a problem can come from several fields together.
-fn together(invalid: &InvalidField) -> bool {
-    use crate::scenario::Problem as P;
+fn is_joint_problem(invalid: &InvalidField) -> bool {
+    use crate::scenario::FieldProblem as P;
     matches!(invalid.problem, P::Overlap { .. } | P::BrakeBeyondLimit { .. } | P::AccelBeyondLimit { .. })
 }
 
-fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
+fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
     match base {
         Base::Inline(spec) => {
             let mut spec = (**spec).clone();
-            let in_base = |InvalidField { field, problem }| InvalidSpace::of_base(format!("base.{field}"), problem);
+            let in_base = |InvalidField { field, problem }| InvalidSpace::from_base(format!("base.{field}"), problem);
             spec.read_drivers(folder).and_then(|()| Scenario::new(spec)).map_err(in_base)
         }
         Base::Named(name) => match built_in(name) {
             Some(scenario) => Ok(scenario),
             None if Path::new(name).extension().is_none() => {
-                let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+                let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
                 let known = known.join(", ");
-                wrong("base", format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"))
+                reject("base", format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file"))
             }
             None => file::load(&folder.join(name)).map_err(|error| match error {
                 FileError::Invalid {
                     path,
                     line,
-                    invalid: InvalidField { field, problem: Problem::StartRefused(StartRefused { place }) },
+                    invalid: InvalidField { field, problem: FieldProblem::StartRefused(StartRefusal { location: place }) },
                 } => {
                     let place = format!("{}:{line}: {field}: {place}", path.display());
-                    InvalidSpace::of_base("base".to_owned(), StartRefused { place }.into())
+                    InvalidSpace::from_base("base".to_owned(), StartRefusal { location: place }.into())
                 }
                 other => InvalidSpace::new("base", other.to_string()),
             }),
@@ -316,7 +316,7 @@ fn base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
     }
 }
 
-impl Value {
+impl ParameterValue {
     /// The number itself, or that of a class or a driver.
     pub(super) fn number(self) -> f64 {
         match self {
@@ -327,7 +327,7 @@ impl Value {
     }
 }
 
-impl Parameter {
+impl SpaceParameter {
     fn ends(&self) -> [f64; 2] {
         [self.marginal.low(), self.marginal.high()]
     }

@@ -4,17 +4,17 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 
-use super::Parameter;
-use super::check::{InvalidSpace, wrong};
-use super::spec::Kind;
-use crate::scenario::short;
+use super::SpaceParameter;
+use super::check::{InvalidSpace, reject};
+use super::spec::ValueKind;
+use crate::scenario::format_compact;
 
 /// The most parameters that depend on each other.
-const MOST_DEPENDING: usize = 50;
+const MAX_CORRELATED: usize = 50;
 /// The least eigenvalue of a correlation matrix: below it a draw decides the next one to all digits that count.
-const LEAST_EIGENVALUE: f64 = 1e-6;
+const MIN_EIGENVALUE: f64 = 1e-6;
 /// Shares are kept this far from 0 and 1, where normal numbers have no bounds: 38 standard deviations below, 8 above.
-const SHARES: [f64; 2] = [f64::MIN_POSITIVE, 1.0 - f64::EPSILON];
+const PROBABILITY_RANGE: [f64; 2] = [f64::MIN_POSITIVE, 1.0 - f64::EPSILON];
 
 /// How parameters depend on each other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,7 +44,7 @@ pub struct GaussianCopula {
 pub(super) struct Copula {
     coordinates: Vec<usize>,
     /// L, with L Lᵀ = R.
-    lower: DMatrix<f64>,
+    cholesky_factor: DMatrix<f64>,
     /// R⁻¹ − 1.
     precision: DMatrix<f64>,
     half_ln_determinant: f64,
@@ -53,30 +53,30 @@ pub(super) struct Copula {
 const CORRELATION: &str = "dependence.gaussian-copula.correlation";
 
 impl Copula {
-    pub(super) fn new(dependence: &Dependence, parameters: &[Parameter]) -> Result<Self, InvalidSpace> {
+    pub(super) fn new(dependence: &Dependence, parameters: &[SpaceParameter]) -> Result<Self, InvalidSpace> {
         let Dependence::GaussianCopula(spec) = dependence;
         let coordinates = spec.coordinates(parameters)?;
-        let correlation = spec.matrix()?;
+        let correlation = spec.correlation_matrix()?;
         let least = correlation.clone().symmetric_eigenvalues().min();
-        let Some(cholesky) = correlation.clone().cholesky().filter(|_| least >= LEAST_EIGENVALUE) else {
-            let found = short(least);
-            return wrong(
+        let Some(cholesky) = correlation.clone().cholesky().filter(|_| least >= MIN_EIGENVALUE) else {
+            let found = format_compact(least);
+            return reject(
                 CORRELATION,
-                format!("must be positive definite, with no eigenvalue below {LEAST_EIGENVALUE}, found one of {found}"),
+                format!("must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {found}"),
             );
         };
         let size = correlation.nrows();
         let half_ln_determinant = cholesky.l_dirty().diagonal().iter().map(|entry| entry.ln()).sum();
         let precision = cholesky.inverse() - DMatrix::identity(size, size);
-        Ok(Self { coordinates, lower: cholesky.l(), precision, half_ln_determinant })
+        Ok(Self { coordinates, cholesky_factor: cholesky.l(), precision, half_ln_determinant })
     }
 
     /// Independent uniform numbers, made dependent.
-    pub(super) fn depending(&self, uniform: &[f64]) -> Vec<f64> {
-        let normal = self.normal(uniform);
+    pub(super) fn correlate(&self, uniform: &[f64]) -> Vec<f64> {
+        let normal = self.normal_scores(uniform);
         let mut depending = uniform.to_vec();
         for (row, &place) in self.coordinates.iter().enumerate() {
-            let sum: f64 = (0..=row).map(|column| self.lower[(row, column)] * normal[column]).sum();
+            let sum: f64 = (0..=row).map(|column| self.cholesky_factor[(row, column)] * normal[column]).sum();
             if let Some(share) = depending.get_mut(place) {
                 *share = Gauss::standard().cdf(sum);
             }
@@ -86,7 +86,7 @@ impl Copula {
 
     /// Logarithm of the copula's density where shares `below` of each distribution lie below: ln c(u) = −½ ln det R − ½ zᵀ (R⁻¹ − 1) z.
     pub(super) fn ln_density(&self, below: &[f64]) -> f64 {
-        let z = self.normal(below);
+        let z = self.normal_scores(below);
         let mut form = 0.0;
         for (row, left) in z.iter().enumerate() {
             for (column, right) in z.iter().enumerate() {
@@ -97,34 +97,34 @@ impl Copula {
     }
 
     /// The normal numbers of those shares that depend on each other; of one that is missing, the middle.
-    fn normal(&self, shares: &[f64]) -> Vec<f64> {
-        let share = |&place: &usize| shares.get(place).copied().unwrap_or(0.5).clamp(SHARES[0], SHARES[1]);
+    fn normal_scores(&self, shares: &[f64]) -> Vec<f64> {
+        let share = |&place: &usize| shares.get(place).copied().unwrap_or(0.5).clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1]);
         self.coordinates.iter().map(|place| Gauss::standard().inverse_cdf(share(place))).collect()
     }
 }
 
 impl GaussianCopula {
     /// The coordinate of each parameter.
-    fn coordinates(&self, parameters: &[Parameter]) -> Result<Vec<usize>, InvalidSpace> {
+    fn coordinates(&self, parameters: &[SpaceParameter]) -> Result<Vec<usize>, InvalidSpace> {
         let at = |index: usize| format!("dependence.gaussian-copula.parameters[{index}]");
         let found = self.parameters.len();
-        if !(2..=MOST_DEPENDING).contains(&found) {
+        if !(2..=MAX_CORRELATED).contains(&found) {
             let field = "dependence.gaussian-copula.parameters";
-            return wrong(field, format!("must be 2 to {MOST_DEPENDING}, found {found}"));
+            return reject(field, format!("must be 2 to {MAX_CORRELATED}, found {found}"));
         }
         let mut coordinates = Vec::with_capacity(found);
         for (index, name) in self.parameters.iter().enumerate() {
             let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name) else {
-                return wrong(at(index), format!("there is no parameter `{name}`"));
+                return reject(at(index), format!("there is no parameter `{name}`"));
             };
-            if parameter.target.kind() != Kind::Number {
-                return wrong(at(index), format!("`{name}` is a class or a driver, and only numbers can depend"));
+            if parameter.target.kind() != ValueKind::Number {
+                return reject(at(index), format!("`{name}` is a class or a driver, and only numbers can depend"));
             }
             if parameter.coordinates().len() != 1 {
-                return wrong(at(index), format!("`{name}` is a signal, and only what has one value can depend"));
+                return reject(at(index), format!("`{name}` is a signal, and only what has one value can depend"));
             }
             if coordinates.contains(&parameter.coordinates().start) {
-                return wrong(at(index), format!("`{name}` is named twice"));
+                return reject(at(index), format!("`{name}` is named twice"));
             }
             coordinates.push(parameter.coordinates().start);
         }
@@ -132,27 +132,27 @@ impl GaussianCopula {
     }
 
     /// The matrix, if it is one of correlations.
-    fn matrix(&self) -> Result<DMatrix<f64>, InvalidSpace> {
+    fn correlation_matrix(&self) -> Result<DMatrix<f64>, InvalidSpace> {
         let size = self.parameters.len();
         if self.correlation.len() != size {
-            return wrong(CORRELATION, format!("must have {size} rows, found {}", self.correlation.len()));
+            return reject(CORRELATION, format!("must have {size} rows, found {}", self.correlation.len()));
         }
         for (row, entries) in self.correlation.iter().enumerate() {
             let at = format!("{CORRELATION}[{row}]");
             if entries.len() != size {
-                return wrong(at, format!("must have {size} entries, found {}", entries.len()));
+                return reject(at, format!("must have {size} entries, found {}", entries.len()));
             }
             for (column, &found) in entries.iter().enumerate() {
                 let mirrored = self.correlation.get(column).and_then(|other| other.get(row)).copied();
                 if !(-1.0..=1.0).contains(&found) {
-                    return wrong(at, format!("must be from -1 to 1, found {}", short(found)));
+                    return reject(at, format!("must be from -1 to 1, found {}", format_compact(found)));
                 }
                 if row == column && found != 1.0 {
-                    return wrong(at, format!("must have 1 on the diagonal, found {}", short(found)));
+                    return reject(at, format!("must have 1 on the diagonal, found {}", format_compact(found)));
                 }
                 if let Some(other) = mirrored.filter(|other| *other != found) {
-                    let problem = format!("must be symmetric, found {} and {}", short(found), short(other));
-                    return wrong(at, problem);
+                    let problem = format!("must be symmetric, found {} and {}", format_compact(found), format_compact(other));
+                    return reject(at, problem);
                 }
             }
         }

@@ -1,16 +1,16 @@
 //! Which field of a scenario a parameter sets: paths looked up once, then typed access.
 
-use super::derived::{closing_gap_m, cruise, load};
-use super::numbers::{
-    DRIVER_NUMBERS, LANE_CHANGES, LaneChangeOf, SCENARIO_NUMBERS, VEHICLE_NUMBERS, accelerations, final_speed,
-    known_fields, pieces, rate, recorded_speeds, setting_of,
+use super::derived::{closing_gap_m, apply_cruise, apply_load};
+use super::numeric_fields::{
+    DRIVER_FIELDS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS, VEHICLE_FIELDS, accelerations_mut, final_speed_mut,
+    known_fields_text, pieces_mut, brake_rate_mut, recorded_speeds_mut, setting_mut,
 };
-use super::spec::{DriverName, Kind};
+use super::spec::{DriverName, ValueKind};
 use crate::scenario::{Driver, LaneChange, ScenarioSpec, VehicleClass, VehicleSpec};
 
 /// A field, ready to be set.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Target {
+pub(super) enum FieldTarget {
     /// A number of the whole scenario.
     Scenario(fn(&mut ScenarioSpec) -> &mut f64),
     /// A number of one vehicle, or of all of them.
@@ -20,13 +20,13 @@ pub(super) enum Target {
     /// A setting of a controller, by its place.
     Setting(usize, usize),
     /// When a vehicle enters the lane or leaves it.
-    LaneChange(usize, LaneChangeOf),
+    LaneChange(usize, LaneChangeAccessor),
     /// A list among a driver's settings: a signal.
     Signal(usize, fn(&mut Driver) -> Option<&mut [f64]>),
     /// The class.
     Class(usize),
     /// Which built-in controller drives.
-    DrivenBy(usize),
+    ControllerChoice(usize),
     /// The length, and the class that goes with it.
     Size(usize),
     /// The bumper gap ahead.
@@ -38,7 +38,7 @@ pub(super) enum Target {
     /// Speed as a share of the one that it has otherwise.
     SpeedShare(usize),
     /// Speed down to which a script brakes, as a share of the one it begins with.
-    FinalShare(usize),
+    FinalSpeedShare(usize),
     /// Mass relative to that of the class, and the braking it leaves.
     Load(usize),
     /// Deceleration at most, relative to that of the class.
@@ -57,45 +57,45 @@ pub(super) enum Target {
 
 /// What a path stands for.
 #[derive(Debug, Clone)]
-pub(super) struct Field {
-    pub(super) target: Target,
+pub(super) struct ParameterField {
+    pub(super) target: FieldTarget,
     pub(super) unit: &'static str,
     /// Coordinates: one, or one for each piece of a signal.
     pub(super) length: usize,
     /// Fields of the file that it sets, so that no two parameters set the same one.
-    pub(super) writes: Vec<String>,
+    pub(super) written_paths: Vec<String>,
 }
 
-impl Field {
+impl ParameterField {
     /// The field of a path in a base scenario.
-    pub(super) fn find(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
-        if let Some((_, unit, access)) = SCENARIO_NUMBERS.iter().find(|(known, ..)| *known == path) {
-            return Ok(Self::number(Target::Scenario(*access), unit, path));
+    pub(super) fn resolve(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
+        if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(known, ..)| *known == path) {
+            return Ok(Self::new_scalar(FieldTarget::Scenario(*access), unit, path));
         }
         let unknown = || format!("there is no field `{path}` that may vary");
         let (index, rest) = path
             .strip_prefix("vehicles[")
             .and_then(|rest| rest.split_once("]."))
-            .ok_or_else(|| format!("{}; {}", unknown(), known_fields()))?;
+            .ok_or_else(|| format!("{}; {}", unknown(), known_fields_text()))?;
         if index == "*" {
-            let number = VEHICLE_NUMBERS.iter().find(|(known, ..)| *known == rest && *known != "position_m");
+            let number = VEHICLE_FIELDS.iter().find(|(known, ..)| *known == rest && *known != "position_m");
             let (_, unit, access) = number.ok_or_else(unknown)?;
-            return Ok(Self::number(Target::Vehicle(None, *access), unit, path));
+            return Ok(Self::new_scalar(FieldTarget::Vehicle(None, *access), unit, path));
         }
         let index: usize = index.parse().map_err(|_| unknown())?;
         let count = base.vehicles.len();
         let vehicle = base.vehicles.get(index).ok_or_else(|| {
             format!("there is no vehicles[{index}]: the base scenario has {count} vehicles, counted from 0")
         })?;
-        if let Some((_, unit, access)) = VEHICLE_NUMBERS.iter().find(|(known, ..)| *known == rest) {
-            return Ok(Self::number(Target::Vehicle(Some(index), *access), unit, path));
+        if let Some((_, unit, access)) = VEHICLE_FIELDS.iter().find(|(known, ..)| *known == rest) {
+            return Ok(Self::new_scalar(FieldTarget::Vehicle(Some(index), *access), unit, path));
         }
         let sets = |fields: &[&str]| fields.iter().map(|field| format!("vehicles[{index}].{field}")).collect();
-        let field = |target, unit, length, writes| Self { target, unit, length, writes };
+        let field = |target, unit, length, writes| Self { target, unit, length, written_paths: writes };
         match rest {
-            "class" => return Ok(field(Target::Class(index), "", 1, sets(&["class"]))),
+            "class" => return Ok(field(FieldTarget::Class(index), "", 1, sets(&["class"]))),
             "driver" if matches!(vehicle.driver, Driver::Controller(_)) => {
-                return Ok(field(Target::DrivenBy(index), "", 1, sets(&["driver"])));
+                return Ok(field(FieldTarget::ControllerChoice(index), "", 1, sets(&["driver"])));
             }
             "driver" => {
                 let name = vehicle.driver.name();
@@ -106,14 +106,14 @@ impl Field {
             "gap_m" | "time_gap_s" | "closing_time_s" if index == 0 => {
                 return Err("nobody is ahead of vehicle 0".to_owned());
             }
-            "gap_m" => return Ok(field(Target::Gap(index), "m", 1, sets(&["position_m"]))),
-            "time_gap_s" => return Ok(field(Target::TimeGap(index), "s", 1, sets(&["position_m"]))),
-            "closing_time_s" => return Ok(field(Target::ClosingTime(index), "s", 1, sets(&["position_m"]))),
-            "speed_share" => return Ok(field(Target::SpeedShare(index), "1", 1, sets(&["speed_mps"]))),
-            "size_m" => return Ok(field(Target::Size(index), "m", 1, sets(&["class", "length_m"]))),
-            "load" => return Ok(field(Target::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
+            "gap_m" => return Ok(field(FieldTarget::Gap(index), "m", 1, sets(&["position_m"]))),
+            "time_gap_s" => return Ok(field(FieldTarget::TimeGap(index), "s", 1, sets(&["position_m"]))),
+            "closing_time_s" => return Ok(field(FieldTarget::ClosingTime(index), "s", 1, sets(&["position_m"]))),
+            "speed_share" => return Ok(field(FieldTarget::SpeedShare(index), "1", 1, sets(&["speed_mps"]))),
+            "size_m" => return Ok(field(FieldTarget::Size(index), "m", 1, sets(&["class", "length_m"]))),
+            "load" => return Ok(field(FieldTarget::Load(index), "1", 1, sets(&["mass_kg", "max_brake_mps2"]))),
             "brake_offset_mps2" => {
-                return Ok(field(Target::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
+                return Ok(field(FieldTarget::BrakeOffset(index), "m/s²", 1, sets(&["max_brake_mps2"])));
             }
             _ => {}
         }
@@ -125,65 +125,65 @@ impl Field {
                 .filter(|change| change.field() == when)
                 .ok_or_else(|| format!("vehicle {index} of the base scenario does not state `{rest}`"))?;
             let unit = if matches!(stated, LaneChange::Gap(_)) { "m" } else { "s" };
-            return Ok(field(Target::LaneChange(index, *access), unit, 1, sets(&[rest])));
+            return Ok(field(FieldTarget::LaneChange(index, *access), unit, 1, sets(&[rest])));
         }
         let mut driver = vehicle.driver.clone();
         let name = driver.name();
-        let setting = rest.strip_prefix("driver.").ok_or_else(|| format!("{}; {}", unknown(), known_fields()))?;
+        let setting = rest.strip_prefix("driver.").ok_or_else(|| format!("{}; {}", unknown(), known_fields_text()))?;
         let (kind, setting) = setting.split_once('.').ok_or_else(unknown)?;
         if kind != name {
             return Err(format!("vehicle {index} of the base scenario is driven by `{name}`, not by `{kind}`"));
         }
         let own = sets(&[rest]);
-        if let Some((_, unit, access)) = DRIVER_NUMBERS.iter().find(|(known, ..)| *known == rest) {
-            return Ok(field(Target::Driver(index, *access), unit, 1, own));
+        if let Some((_, unit, access)) = DRIVER_FIELDS.iter().find(|(known, ..)| *known == rest) {
+            return Ok(field(FieldTarget::Driver(index, *access), unit, 1, own));
         }
         if let Driver::Controller(spec) = &vehicle.driver
             && let Some(place) = spec.fields().iter().position(|known| known.name == setting)
         {
-            return Ok(field(Target::Setting(index, place), spec.fields()[place].unit(), 1, own));
+            return Ok(field(FieldTarget::Setting(index, place), spec.fields()[place].unit(), 1, own));
         }
         let list = |signal: Option<&mut [f64]>| signal.map_or(0, |signal| signal.len());
         match (kind, setting) {
             ("pieces", "accel_mps2") => {
-                Ok(field(Target::Signal(index, accelerations), "m/s²", list(accelerations(&mut driver)), own))
+                Ok(field(FieldTarget::Signal(index, accelerations_mut), "m/s²", list(accelerations_mut(&mut driver)), own))
             }
             ("pieces", "brake_share") => {
-                let length = list(accelerations(&mut driver));
-                Ok(field(Target::PiecesShare(index), "1", length, sets(&["driver.pieces.accel_mps2"])))
+                let length = list(accelerations_mut(&mut driver));
+                Ok(field(FieldTarget::PiecesShare(index), "1", length, sets(&["driver.pieces.accel_mps2"])))
             }
-            ("pieces", "onset_s") => Ok(field(Target::PiecesOnset(index), "s", 1, own)),
+            ("pieces", "onset_s") => Ok(field(FieldTarget::PiecesOnset(index), "s", 1, own)),
             ("pieces", "cruise_mps2") => {
-                let length = list(accelerations(&mut driver));
-                Ok(field(Target::PiecesCruise(index), "m/s²", length, sets(&["driver.pieces.accel_mps2"])))
+                let length = list(accelerations_mut(&mut driver));
+                Ok(field(FieldTarget::PiecesCruise(index), "m/s²", length, sets(&["driver.pieces.accel_mps2"])))
             }
-            ("pieces", "scale") => Ok(field(Target::PiecesScale(index), "1", 1, own)),
+            ("pieces", "scale") => Ok(field(FieldTarget::PiecesScale(index), "1", 1, own)),
             ("recorded", "speed_mps") => {
-                Ok(field(Target::Signal(index, recorded_speeds), "m/s", list(recorded_speeds(&mut driver)), own))
+                Ok(field(FieldTarget::Signal(index, recorded_speeds_mut), "m/s", list(recorded_speeds_mut(&mut driver)), own))
             }
             ("brake-to-speed", "final_share") => {
-                Ok(field(Target::FinalShare(index), "1", 1, sets(&["driver.brake-to-speed.final_speed_mps"])))
+                Ok(field(FieldTarget::FinalSpeedShare(index), "1", 1, sets(&["driver.brake-to-speed.final_speed_mps"])))
             }
-            (_, "rate_share") if rate(&mut driver).is_some() => {
-                Ok(field(Target::RateShare(index), "1", 1, sets(&[&format!("driver.{kind}.rate_mps2")])))
+            (_, "rate_share") if brake_rate_mut(&mut driver).is_some() => {
+                Ok(field(FieldTarget::RateShare(index), "1", 1, sets(&[&format!("driver.{kind}.rate_mps2")])))
             }
             _ => Err(unknown()),
         }
     }
 
-    fn number(target: Target, unit: &'static str, path: &str) -> Self {
-        Self { target, unit, length: 1, writes: vec![path.to_owned()] }
+    fn new_scalar(target: FieldTarget, unit: &'static str, path: &str) -> Self {
+        Self { target, unit, length: 1, written_paths: vec![path.to_owned()] }
     }
 }
 
-impl Target {
+impl FieldTarget {
     /// When it is set: what others build on comes first.
     pub(super) fn stage(self) -> u8 {
         match self {
-            Self::Class(_) | Self::DrivenBy(_) | Self::Size(_) => 0,
+            Self::Class(_) | Self::ControllerChoice(_) | Self::Size(_) => 0,
             Self::Vehicle(None, _) => 1,
             Self::RateShare(_) | Self::PiecesShare(_) | Self::PiecesCruise(_) => 3,
-            Self::TimeGap(_) | Self::ClosingTime(_) | Self::FinalShare(_) => 3,
+            Self::TimeGap(_) | Self::ClosingTime(_) | Self::FinalSpeedShare(_) => 3,
             Self::PiecesScale(_) => 4,
             _ => 2,
         }
@@ -197,82 +197,82 @@ impl Target {
         match self {
             Self::Scenario(access) => *access(spec) = value,
             Self::Vehicle(None, access) => spec.vehicles.iter_mut().for_each(|vehicle| *access(vehicle) = value),
-            Self::Vehicle(Some(index), access) => with(spec, index, |vehicle| *access(vehicle) = value),
-            Self::Driver(index, access) => with(spec, index, |vehicle| {
+            Self::Vehicle(Some(index), access) => update_vehicle(spec, index, |vehicle| *access(vehicle) = value),
+            Self::Driver(index, access) => update_vehicle(spec, index, |vehicle| {
                 if let Some(number) = access(&mut vehicle.driver) {
                     *number = value;
                 }
             }),
-            Self::Setting(index, place) => with(spec, index, |vehicle| {
-                if let Some(number) = setting_of(&mut vehicle.driver, place) {
+            Self::Setting(index, place) => update_vehicle(spec, index, |vehicle| {
+                if let Some(number) = setting_mut(&mut vehicle.driver, place) {
                     *number = value;
                 }
             }),
-            Self::LaneChange(index, access) => with(spec, index, |vehicle| {
+            Self::LaneChange(index, access) => update_vehicle(spec, index, |vehicle| {
                 if let Some(change) = access(vehicle) {
                     *change.value_mut() = value;
                 }
             }),
-            Self::Signal(index, access) => with(spec, index, |vehicle| {
+            Self::Signal(index, access) => update_vehicle(spec, index, |vehicle| {
                 if let Some(signal) = access(&mut vehicle.driver) {
                     signal.iter_mut().zip(values).for_each(|(piece, value)| *piece = *value);
                 }
             }),
-            Self::Class(index) => with(spec, index, |vehicle| {
+            Self::Class(index) => update_vehicle(spec, index, |vehicle| {
                 let class = VehicleClass::ALL.get(value as usize).copied();
                 vehicle.class = class.unwrap_or(vehicle.class);
             }),
-            Self::DrivenBy(index) => with(spec, index, |vehicle| {
-                let other = DriverName::of_number(value).filter(|name| name.name() != vehicle.driver.name());
+            Self::ControllerChoice(index) => update_vehicle(spec, index, |vehicle| {
+                let other = DriverName::from_number(value).filter(|name| name.name() != vehicle.driver.name());
                 if let Some(controller) = other.and_then(DriverName::controller) {
                     vehicle.driver = Driver::Controller(controller);
                 }
             }),
-            Self::Size(index) => with(spec, index, |vehicle| {
+            Self::Size(index) => update_vehicle(spec, index, |vehicle| {
                 vehicle.length_m = Some(value);
-                vehicle.class = VehicleClass::of_length(value);
+                vehicle.class = VehicleClass::from_length(value);
             }),
-            Self::Gap(index) => with(spec, index, |vehicle| vehicle.position_m = value),
-            Self::TimeGap(index) => with(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
+            Self::Gap(index) => update_vehicle(spec, index, |vehicle| vehicle.position_m = value),
+            Self::TimeGap(index) => update_vehicle(spec, index, |vehicle| vehicle.position_m = value * vehicle.speed_mps),
             Self::ClosingTime(index) => {
                 let gap_m = closing_gap_m(spec, index, value);
-                with(spec, index, |vehicle| vehicle.position_m = gap_m);
+                update_vehicle(spec, index, |vehicle| vehicle.position_m = gap_m);
             }
-            Self::SpeedShare(index) => with(spec, index, |vehicle| vehicle.speed_mps *= value),
-            Self::FinalShare(index) => with(spec, index, |vehicle| {
+            Self::SpeedShare(index) => update_vehicle(spec, index, |vehicle| vehicle.speed_mps *= value),
+            Self::FinalSpeedShare(index) => update_vehicle(spec, index, |vehicle| {
                 let from_mps = vehicle.speed_mps;
-                if let Some(final_mps) = final_speed(&mut vehicle.driver) {
+                if let Some(final_mps) = final_speed_mut(&mut vehicle.driver) {
                     *final_mps = value * from_mps;
                 }
             }),
-            Self::Load(index) => with(spec, index, |vehicle| load(vehicle, value)),
-            Self::BrakeOffset(index) => with(spec, index, |vehicle| {
+            Self::Load(index) => update_vehicle(spec, index, |vehicle| apply_load(vehicle, value)),
+            Self::BrakeOffset(index) => update_vehicle(spec, index, |vehicle| {
                 vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value);
             }),
-            Self::RateShare(index) => with(spec, index, |vehicle| {
+            Self::RateShare(index) => update_vehicle(spec, index, |vehicle| {
                 let usable_mps2 = vehicle.max_brake_mps2() * friction;
-                if let Some(rate) = rate(&mut vehicle.driver) {
+                if let Some(rate) = brake_rate_mut(&mut vehicle.driver) {
                     *rate = value * usable_mps2;
                 }
             }),
-            Self::PiecesShare(index) => with(spec, index, |vehicle| {
+            Self::PiecesShare(index) => update_vehicle(spec, index, |vehicle| {
                 let usable_mps2 = vehicle.max_brake_mps2() * friction;
-                if let Some(signal) = accelerations(&mut vehicle.driver) {
+                if let Some(signal) = accelerations_mut(&mut vehicle.driver) {
                     signal.iter_mut().zip(values).for_each(|(piece, share)| *piece = -share * usable_mps2);
                 }
             }),
-            Self::PiecesOnset(index) => with(spec, index, |vehicle| {
-                if let Some(pieces) = pieces(&mut vehicle.driver) {
+            Self::PiecesOnset(index) => update_vehicle(spec, index, |vehicle| {
+                if let Some(pieces) = pieces_mut(&mut vehicle.driver) {
                     let later_s = value - pieces.from_s.first().copied().unwrap_or(0.0);
                     pieces.from_s.iter_mut().for_each(|from_s| *from_s += later_s);
                 }
             }),
             Self::PiecesCruise(index) => {
                 let until_s = spec.duration_s;
-                with(spec, index, |vehicle| cruise(vehicle, values, until_s));
+                update_vehicle(spec, index, |vehicle| apply_cruise(vehicle, values, until_s));
             }
-            Self::PiecesScale(index) => with(spec, index, |vehicle| {
-                accelerations(&mut vehicle.driver).unwrap_or_default().iter_mut().for_each(|piece| *piece *= value);
+            Self::PiecesScale(index) => update_vehicle(spec, index, |vehicle| {
+                accelerations_mut(&mut vehicle.driver).unwrap_or_default().iter_mut().for_each(|piece| *piece *= value);
             }),
         }
     }
@@ -290,16 +290,16 @@ impl Target {
                 one(spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver).copied()))
             }
             Self::Setting(index, place) => {
-                one(spec.vehicles.get_mut(index).and_then(|v| setting_of(&mut v.driver, place).copied()))
+                one(spec.vehicles.get_mut(index).and_then(|v| setting_mut(&mut v.driver, place).copied()))
             }
             Self::LaneChange(index, access) => one(spec.vehicles.get_mut(index).and_then(|v| Some(access(v)?.value()))),
-            Self::PiecesCruise(index) => Self::Signal(index, accelerations).get(&spec),
+            Self::PiecesCruise(index) => Self::Signal(index, accelerations_mut).get(&spec),
             Self::Signal(index, access) => {
                 let signal = spec.vehicles.get_mut(index).and_then(|v| access(&mut v.driver));
                 signal.map_or_else(Vec::new, |signal| signal.to_vec())
             }
             Self::Class(index) => one(of(index).map(|v| f64::from(v.class.number()))),
-            Self::DrivenBy(index) => {
+            Self::ControllerChoice(index) => {
                 one(of(index).and_then(|v| DriverName::find(v.driver.name())).map(DriverName::number))
             }
             Self::Size(index) => one(of(index).map(|v| v.length_m())),
@@ -308,44 +308,44 @@ impl Target {
             Self::ClosingTime(index) => one(of(index)
                 .zip(index.checked_sub(1).and_then(of))
                 .map(|(vehicle, ahead)| vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps))),
-            Self::FinalShare(index) => one(spec
+            Self::FinalSpeedShare(index) => one(spec
                 .vehicles
                 .get_mut(index)
-                .and_then(|v| final_speed(&mut v.driver).map(|final_mps| *final_mps / v.speed_mps))),
+                .and_then(|v| final_speed_mut(&mut v.driver).map(|final_mps| *final_mps / v.speed_mps))),
             Self::PiecesScale(_) | Self::SpeedShare(_) => vec![1.0],
             Self::Load(index) => one(of(index).map(|v| v.mass_kg() / v.class.mass_kg())),
             Self::BrakeOffset(index) => one(of(index).map(|v| v.max_brake_mps2() - v.class.max_brake_mps2())),
             Self::RateShare(index) => one(spec.vehicles.get_mut(index).and_then(|v| {
                 let usable_mps2 = v.max_brake_mps2() * friction;
-                rate(&mut v.driver).map(|rate| *rate / usable_mps2)
+                brake_rate_mut(&mut v.driver).map(|rate| *rate / usable_mps2)
             })),
             Self::PiecesShare(index) => spec.vehicles.get_mut(index).map_or_else(Vec::new, |v| {
                 let usable_mps2 = v.max_brake_mps2() * friction;
-                let signal = accelerations(&mut v.driver).unwrap_or_default();
+                let signal = accelerations_mut(&mut v.driver).unwrap_or_default();
                 signal.iter().map(|accel_mps2| -accel_mps2 / usable_mps2).collect()
             }),
             Self::PiecesOnset(index) => one(spec
                 .vehicles
                 .get_mut(index)
-                .and_then(|v| pieces(&mut v.driver).and_then(|pieces| pieces.from_s.first().copied()))),
+                .and_then(|v| pieces_mut(&mut v.driver).and_then(|pieces| pieces.from_s.first().copied()))),
         }
     }
 
     /// What its values are.
-    pub(super) fn kind(self) -> Kind {
+    pub(super) fn kind(self) -> ValueKind {
         match self {
-            Self::Class(_) => Kind::Class,
-            Self::DrivenBy(_) => Kind::Driver,
-            _ => Kind::Number,
+            Self::Class(_) => ValueKind::Class,
+            Self::ControllerChoice(_) => ValueKind::Driver,
+            _ => ValueKind::Number,
         }
     }
 
     /// The vehicle whose driver's settings it is.
-    pub(super) fn drives(self) -> Option<usize> {
+    pub(super) fn driver_vehicle(self) -> Option<usize> {
         match self {
             Self::Driver(i, _) | Self::Setting(i, _) | Self::Signal(i, _) => Some(i),
             Self::RateShare(i) | Self::PiecesShare(i) | Self::PiecesOnset(i) => Some(i),
-            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::DrivenBy(i) | Self::FinalShare(i) => Some(i),
+            Self::PiecesCruise(i) | Self::PiecesScale(i) | Self::ControllerChoice(i) | Self::FinalSpeedShare(i) => Some(i),
             Self::ClosingTime(_)
             | Self::SpeedShare(_)
             | Self::Scenario(_)
@@ -360,14 +360,14 @@ impl Target {
     }
 
     /// The vehicle whose limits or place it changes, where that can make a scenario invalid.
-    pub(super) fn touches(self) -> Option<usize> {
+    pub(super) fn affected_vehicle(self) -> Option<usize> {
         match self {
             Self::Class(i) | Self::Load(i) | Self::BrakeOffset(i) | Self::RateShare(i) | Self::PiecesShare(i) => {
                 Some(i)
             }
             Self::Signal(i, _) | Self::Driver(i, _) | Self::Setting(i, _) | Self::LaneChange(i, _) => Some(i),
-            Self::ClosingTime(i) | Self::SpeedShare(i) | Self::FinalShare(i) => Some(i),
-            Self::TimeGap(i) | Self::DrivenBy(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
+            Self::ClosingTime(i) | Self::SpeedShare(i) | Self::FinalSpeedShare(i) => Some(i),
+            Self::TimeGap(i) | Self::ControllerChoice(i) | Self::PiecesCruise(i) | Self::PiecesScale(i) => Some(i),
             Self::Size(i) => Some(i),
             Self::Vehicle(i, _) => i,
             Self::Scenario(_) | Self::Gap(_) | Self::PiecesOnset(_) => None,
@@ -375,7 +375,7 @@ impl Target {
     }
 }
 
-fn with(spec: &mut ScenarioSpec, index: usize, change: impl FnOnce(&mut VehicleSpec)) {
+fn update_vehicle(spec: &mut ScenarioSpec, index: usize, change: impl FnOnce(&mut VehicleSpec)) {
     if let Some(vehicle) = spec.vehicles.get_mut(index) {
         change(vehicle);
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{InvalidSpace, Space, SpaceSpec};
+use super::{InvalidSpace, ScenarioSpace, SpaceSpec};
 use crate::scenario::InvalidField;
 use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
 
@@ -10,7 +10,7 @@ use crate::scenario::file::{FileError, line_in_toml, parse_toml, read};
 ///
 /// # Errors
 /// [`FileError`] for a file that cannot be read, parsed or accepted.
-pub fn load(path: &Path) -> Result<Space, FileError> {
+pub fn load(path: &Path) -> Result<ScenarioSpace, FileError> {
     from_toml(&read(path)?, path)
 }
 
@@ -18,16 +18,16 @@ pub fn load(path: &Path) -> Result<Space, FileError> {
 ///
 /// # Errors
 /// [`FileError`] for text that is not a valid space.
-pub fn from_toml(text: &str, path: &Path) -> Result<Space, FileError> {
+pub fn from_toml(text: &str, path: &Path) -> Result<ScenarioSpace, FileError> {
     let spec: SpaceSpec = parse_toml(text, path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    Space::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| match start_refused {
+    ScenarioSpace::new(spec, folder).map_err(|InvalidSpace { field, problem, start_refused }| match start_refused {
         Some(refused) => {
             let line = line_in_toml(text, &field);
             let invalid = InvalidField { field, problem: refused.into() };
             FileError::Invalid { path: path.to_owned(), line, invalid }
         }
-        None => FileError::of_field(path, text, &field, problem),
+        None => FileError::from_field(path, text, &field, problem),
     })
 }
 
@@ -35,6 +35,6 @@ pub fn from_toml(text: &str, path: &Path) -> Result<Space, FileError> {
 ///
 /// # Errors
 /// None for a valid space; the serializer's error is passed on rather than hidden.
-pub fn to_toml(space: &Space) -> Result<String, toml::ser::Error> {
+pub fn to_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
     toml::to_string(space.spec())
 }

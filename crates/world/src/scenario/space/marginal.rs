@@ -9,7 +9,7 @@ use statrs::distribution::{Continuous, ContinuousCDF, Gamma, LogNormal, Normal a
 /// for these). Classes are numbered. Where a coordinate lies within the slice of one value makes no difference to a scenario, and keeps
 /// the share of the distribution that it stands for: the way from coordinates to shares can be gone back.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Marginal {
+pub(super) enum CoordinateMarginal {
     Uniform {
         low: f64,
         high: f64,
@@ -19,53 +19,53 @@ pub(super) enum Marginal {
         high: f64,
     },
     /// A law of which the range holds the share `mass`, with the share `below` below it.
-    Cut {
+    Truncated {
         low: f64,
         high: f64,
-        law: Law,
-        below: f64,
+        distribution: ContinuousDistribution,
+        cdf_low: f64,
         mass: f64,
     },
     Choice {
         values: Vec<f64>,
-        shares: Vec<f64>,
+        probabilities: Vec<f64>,
     },
     /// One value, before all others or behind them, and how these are distributed.
     PointMass {
         at: f64,
-        share: f64,
+        probability: f64,
         is_first: bool,
-        others: Box<Marginal>,
+        others: Box<CoordinateMarginal>,
     },
 }
 
 /// The part of a coordinate that stands for a value with a probability of its own: a search meets it in one of ten places.
-const SLICE: f64 = 0.1;
+const POINT_MASS_WIDTH: f64 = 0.1;
 
 /// A place in [0, 1] of which one end is a slice for one value.
 #[derive(Clone, Copy)]
-enum Part {
+enum MixturePosition {
     /// Within the slice, from 0 to 1.
-    Point(f64),
+    PointMass(f64),
     /// Within what is left, from 0 to 1.
     Others(f64),
 }
 
-impl Part {
-    fn of(place: f64, slice: f64, is_first: bool) -> Self {
+impl MixturePosition {
+    fn from_unit(place: f64, slice: f64, is_first: bool) -> Self {
         match is_first {
-            true if place < slice => Self::Point(place / slice),
+            true if place < slice => Self::PointMass(place / slice),
             true => Self::Others(((place - slice) / (1.0 - slice)).min(1.0)),
-            false if place > 1.0 - slice => Self::Point((place - (1.0 - slice)) / slice),
+            false if place > 1.0 - slice => Self::PointMass((place - (1.0 - slice)) / slice),
             false => Self::Others((place / (1.0 - slice)).min(1.0)),
         }
     }
 
     /// The place in [0, 1] where the slice has another width.
-    fn place(self, slice: f64, is_first: bool) -> f64 {
+    fn to_unit(self, slice: f64, is_first: bool) -> f64 {
         match self {
-            Self::Point(within) if is_first => within.min(1.0 - f64::EPSILON) * slice,
-            Self::Point(within) => (1.0 - slice + within * slice).max((1.0 - slice).next_up()).min(1.0),
+            Self::PointMass(within) if is_first => within.min(1.0 - f64::EPSILON) * slice,
+            Self::PointMass(within) => (1.0 - slice + within * slice).max((1.0 - slice).next_up()).min(1.0),
             Self::Others(within) if is_first => (slice + within * (1.0 - slice)).min(1.0),
             Self::Others(within) => within * (1.0 - slice),
         }
@@ -74,7 +74,7 @@ impl Part {
 
 /// A distribution that is not cut yet.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Law {
+pub(super) enum ContinuousDistribution {
     Normal(Gauss),
     LogNormal(LogNormal),
     Gamma(Gamma),
@@ -82,17 +82,17 @@ pub(super) enum Law {
 }
 
 /// The least value of a gamma distribution, relative to its scale, whose share is worked out.
-const LEAST_SCALED: f64 = 1e-200;
+const MIN_SCALED: f64 = 1e-200;
 
-impl Law {
+impl ContinuousDistribution {
     pub(super) fn cdf(&self, value: f64) -> f64 {
         match self {
             Self::Normal(law) => law.cdf(value),
             Self::LogNormal(law) => law.cdf(value),
             // The library panics where the product of value and rate is no number above 0.
             Self::Gamma(law) => match value * law.rate() {
-                scaled if scaled < LEAST_SCALED => 0.0,
-                scaled if scaled > 1.0 / LEAST_SCALED => 1.0,
+                scaled if scaled < MIN_SCALED => 0.0,
+                scaled if scaled > 1.0 / MIN_SCALED => 1.0,
                 _ => law.cdf(value),
             },
             Self::Weibull(law) => law.cdf(value),
@@ -104,7 +104,7 @@ impl Law {
             Self::Normal(law) => law.inverse_cdf(share),
             Self::LogNormal(law) => law.inverse_cdf(share),
             Self::Gamma(law) => {
-                let least = 2.0 * LEAST_SCALED / law.rate();
+                let least = 2.0 * MIN_SCALED / law.rate();
                 if self.cdf(least) >= share { least } else { law.inverse_cdf(share) }
             }
             Self::Weibull(law) => law.inverse_cdf(share),
@@ -122,15 +122,15 @@ impl Law {
 
     /// The least value at which the density is looked at in a range that begins at `low`: at 0 that of a law of positive values may be
     /// without bounds.
-    fn least(&self, low: f64, high: f64) -> f64 {
+    fn min_pdf_argument(&self, low: f64, high: f64) -> f64 {
         if matches!(self, Self::Normal(_)) { low } else { low.max(1e-9 * high) }
     }
 }
 
-impl Marginal {
+impl CoordinateMarginal {
     pub(super) fn low(&self) -> f64 {
         match self {
-            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Cut { low, .. } => *low,
+            Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Truncated { low, .. } => *low,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
             Self::PointMass { at, others, .. } => at.min(others.low()),
         }
@@ -138,7 +138,7 @@ impl Marginal {
 
     pub(super) fn high(&self) -> f64 {
         match self {
-            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Cut { high, .. } => *high,
+            Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Truncated { high, .. } => *high,
             Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             Self::PointMass { at, others, .. } => at.max(others.high()),
         }
@@ -149,15 +149,15 @@ impl Marginal {
     pub(super) fn value(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
-            Self::Uniform { low, high } | Self::Cut { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
+            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => (low + u * (high - low)).clamp(*low, *high),
             Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
             Self::Choice { values, .. } => {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
                 values.get(index).copied().unwrap_or(f64::NAN)
             }
-            Self::PointMass { at, is_first, others, .. } => match Part::of(u, SLICE, *is_first) {
-                Part::Point(_) => *at,
-                Part::Others(within) => others.value(within),
+            Self::PointMass { at, is_first, others, .. } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                MixturePosition::PointMass(_) => *at,
+                MixturePosition::Others(within) => others.value(within),
             },
         }
     }
@@ -165,15 +165,15 @@ impl Marginal {
     /// A coordinate at which the value is taken; of one that has a slice, the middle of it.
     pub(super) fn coordinate(&self, value: f64) -> f64 {
         match self {
-            Self::Uniform { low, high } | Self::Cut { low, high, .. } => ((value - low) / (high - low)).clamp(0.0, 1.0),
+            Self::Uniform { low, high } | Self::Truncated { low, high, .. } => ((value - low) / (high - low)).clamp(0.0, 1.0),
             Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
             Self::Choice { values, .. } => {
                 let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
                 let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
                 (nearest as f64 + 0.5) / values.len() as f64
             }
-            Self::PointMass { at, is_first, .. } if value == *at => Part::Point(0.5).place(SLICE, *is_first),
-            Self::PointMass { is_first, others, .. } => Part::Others(others.coordinate(value)).place(SLICE, *is_first),
+            Self::PointMass { at, is_first, .. } if value == *at => MixturePosition::PointMass(0.5).to_unit(POINT_MASS_WIDTH, *is_first),
+            Self::PointMass { is_first, others, .. } => MixturePosition::Others(others.coordinate(value)).to_unit(POINT_MASS_WIDTH, *is_first),
         }
     }
 
@@ -183,11 +183,11 @@ impl Marginal {
         let u = u.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Cut { low, high, law, below, mass } => {
+            Self::Truncated { low, high, distribution: law, cdf_low: below, mass } => {
                 let value = law.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
             }
-            Self::Choice { shares, .. } => {
+            Self::Choice { probabilities: shares, .. } => {
                 let mut before = 0.0;
                 for (index, share) in shares.iter().enumerate() {
                     if u < before + share || index + 1 == shares.len() {
@@ -198,42 +198,42 @@ impl Marginal {
                 }
                 1.0
             }
-            Self::PointMass { share, is_first, others, .. } => match Part::of(u, *share, *is_first) {
-                Part::Others(within) => Part::Others(others.quantile(within)),
+            Self::PointMass { probability: share, is_first, others, .. } => match MixturePosition::from_unit(u, *share, *is_first) {
+                MixturePosition::Others(within) => MixturePosition::Others(others.quantile(within)),
                 point => point,
             }
-            .place(SLICE, *is_first),
+            .to_unit(POINT_MASS_WIDTH, *is_first),
         }
     }
 
     /// The share of the distribution below a coordinate.
-    pub(super) fn share_below(&self, coordinate: f64) -> f64 {
+    pub(super) fn cdf(&self, coordinate: f64) -> f64 {
         let u = coordinate.clamp(0.0, 1.0);
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
-            Self::Cut { law, below, mass, .. } => ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0),
-            Self::Choice { shares, .. } => {
+            Self::Truncated { distribution: law, cdf_low: below, mass, .. } => ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0),
+            Self::Choice { probabilities: shares, .. } => {
                 let place = u * shares.len() as f64;
                 let index = (place as usize).min(shares.len() - 1);
                 let before: f64 = shares.iter().take(index).sum();
                 let share = shares.get(index).copied().unwrap_or(0.0);
                 (before + share * (place - index as f64)).clamp(0.0, 1.0)
             }
-            Self::PointMass { share, is_first, others, .. } => match Part::of(u, SLICE, *is_first) {
-                Part::Others(within) => Part::Others(others.share_below(within)),
+            Self::PointMass { probability: share, is_first, others, .. } => match MixturePosition::from_unit(u, POINT_MASS_WIDTH, *is_first) {
+                MixturePosition::Others(within) => MixturePosition::Others(others.cdf(within)),
                 point => point,
             }
-            .place(*share, *is_first),
+            .to_unit(*share, *is_first),
         }
     }
 
     /// The share of the distribution at a value or below it.
-    pub(super) fn share_up_to(&self, value: f64) -> f64 {
+    pub(super) fn cdf_of_value(&self, value: f64) -> f64 {
         match self {
             Self::PointMass { at, is_first: true, .. } if value < *at => 0.0,
-            Self::PointMass { at, share, is_first: true, .. } if value == *at => *share,
+            Self::PointMass { at, probability: share, is_first: true, .. } if value == *at => *share,
             Self::PointMass { at, is_first: false, .. } if value >= *at => 1.0,
-            _ => self.share_below(self.coordinate(value)),
+            _ => self.cdf(self.coordinate(value)),
         }
     }
 
@@ -243,18 +243,18 @@ impl Marginal {
     pub(super) fn ln_density(&self, coordinate: f64) -> f64 {
         match self {
             Self::Uniform { .. } | Self::LogUniform { .. } => 0.0,
-            Self::Cut { low, high, law, mass, .. } => {
-                let value = self.value(coordinate).max(law.least(*low, *high));
+            Self::Truncated { low, high, distribution: law, mass, .. } => {
+                let value = self.value(coordinate).max(law.min_pdf_argument(*low, *high));
                 law.ln_pdf(value) - mass.ln() + (high - low).ln()
             }
-            Self::Choice { shares, .. } => {
+            Self::Choice { probabilities: shares, .. } => {
                 let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
                 (shares.get(index).copied().unwrap_or(0.0) * shares.len() as f64).ln()
             }
-            Self::PointMass { share, is_first, others, .. } => {
-                match Part::of(coordinate.clamp(0.0, 1.0), SLICE, *is_first) {
-                    Part::Point(_) => (share / SLICE).ln(),
-                    Part::Others(within) => ((1.0 - share) / (1.0 - SLICE)).ln() + others.ln_density(within),
+            Self::PointMass { probability: share, is_first, others, .. } => {
+                match MixturePosition::from_unit(coordinate.clamp(0.0, 1.0), POINT_MASS_WIDTH, *is_first) {
+                    MixturePosition::PointMass(_) => (share / POINT_MASS_WIDTH).ln(),
+                    MixturePosition::Others(within) => ((1.0 - share) / (1.0 - POINT_MASS_WIDTH)).ln() + others.ln_density(within),
                 }
             }
         }
@@ -263,11 +263,11 @@ impl Marginal {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::{Choice, Distribution, LogNormal, Normal, PointMass, ShapeScale, Uniform, Value};
+    use super::super::spec::{Choice, Distribution, LogNormal, Normal, PointMass, ShapeScaleSpec, Uniform, Value};
     use super::Marginal;
     use proptest::prelude::*;
 
-    fn any_marginal() -> impl Strategy<Value = Marginal> {
+    fn any_marginal() -> impl Strategy<Value = CoordinateMarginal> {
         let range = (-50.0..50.0f64, 0.1..60.0f64);
         let normal = (range.clone(), -0.3..1.3f64, 0.15..2.0f64).prop_map(|((low, width), at, deviation)| {
             let (mean, deviation) = (low + at * width, deviation * width);
@@ -278,8 +278,8 @@ mod tests {
             let high = low + 4.0 * scale;
             match law {
                 0 => Distribution::LogNormal(LogNormal { ln_mean: scale.ln(), ln_deviation: 1.0 / shape, low, high }),
-                1 => Distribution::Gamma(ShapeScale { shape, scale: scale / shape, low, high }),
-                _ => Distribution::Weibull(ShapeScale { shape, scale, low, high }),
+                1 => Distribution::Gamma(ShapeScaleSpec { shape, scale: scale / shape, low, high }),
+                _ => Distribution::Weibull(ShapeScaleSpec { shape, scale, low, high }),
             }
         });
         let weights = prop::collection::vec(0.01..5.0f64, 1..6);
@@ -313,7 +313,7 @@ mod tests {
         for [low, high] in ranges {
             for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
                 for scale in [1e-9, 1e-3, 1.0, 1e9] {
-                    let of = ShapeScale { shape, scale, low, high };
+                    let of = ShapeScaleSpec { shape, scale, low, high };
                     let lognormal = LogNormal { ln_mean: scale.ln(), ln_deviation: shape, low, high };
                     for law in
                         [Distribution::Gamma(of.clone()), Distribution::Weibull(of), Distribution::LogNormal(lognormal)]
@@ -347,9 +347,9 @@ mod tests {
             let below: f64 = (0..whole).map(cell).sum::<f64>() + (place - whole as f64) * cell(whole);
             prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
             prop_assert!((marginal.share_below(at) - u).abs() < 1e-8);
-            let point = if let Marginal::PointMass { share, .. } = &marginal { *share } else { 0.0 };
-            let is_choice = matches!(marginal, Marginal::Choice { .. });
-            let off = marginal.share_up_to(marginal.value(at)) - u;
+            let point = if let CoordinateMarginal::PointMass { share, .. } = &marginal { *share } else { 0.0 };
+            let is_choice = matches!(marginal, CoordinateMarginal::Choice { .. });
+            let off = marginal.cdf_of_value(marginal.value(at)) - u;
             prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");
             let value = marginal.value(at);
             prop_assert!(value >= marginal.low() && value <= marginal.high());

@@ -1,16 +1,16 @@
 //! Search spaces: scenarios with parameters that vary, each with a range, a unit and a distribution.
 //!
-//! [`SpaceSpec`] is the file: plain data that may hold nonsense. [`Space`] is a spec in which every point was found to be a
+//! [`SpaceSpec`] is the file: plain data that may hold nonsense. [`ScenarioSpace`] is a spec in which every point was found to be a
 //! valid scenario. Field paths are looked up once; making a scenario of a point costs a few microseconds.
 //!
 //! # Points, values, scenarios
 //!
 //! A *point* lies in the unit cube, one coordinate a parameter, or one for each piece of a signal. A coordinate runs evenly
 //! over the *range* of its parameter, whatever the distribution: a search must reach an unlikely corner as easily as a
-//! likely one. How likely a point is says [`Space::ln_likelihood`]: the logarithm of the distribution's density with
+//! likely one. How likely a point is says [`ScenarioSpace::ln_likelihood`]: the logarithm of the distribution's density with
 //! respect to points, hence 0 where the distribution is even over the range. Whoever wants scenarios *by the
-//! distribution* (failure rates, training, held-out sets) draws them with [`Space::draw`], or sends uniform numbers
-//! through [`Space::quantile`], the inverse of the distribution's CDF. Expectations under the distribution are thus
+//! distribution* (failure rates, training, held-out sets) draws them with [`ScenarioSpace::draw`], or sends uniform numbers
+//! through [`ScenarioSpace::quantile`], the inverse of the distribution's CDF. Expectations under the distribution are thus
 //! integrals over uniform numbers u of f(quantile(u)), or over points x of f(x) exp(ln_likelihood(x)).
 //!
 //! # Fields
@@ -57,9 +57,9 @@ mod distribution;
 mod field;
 pub mod file;
 mod marginal;
-mod numbers;
+mod numeric_fields;
 mod observed;
-mod ready;
+mod parameter_distribution;
 mod spec;
 #[cfg(test)]
 mod tests;
@@ -68,20 +68,20 @@ use std::ops::Range;
 
 use rand::RngExt;
 
-pub use built_in::{BUILT_IN_SPACES, UnknownSpace, built_in_space, find_space};
+pub use built_in::{BUILT_IN_SPACES, FindSpaceError, built_in_space, find_space};
 pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
-pub use observed::{Exposure, Observed, ObservedParameter, SourceExposure};
-pub use ready::ReadyDistribution;
+pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
+pub use parameter_distribution::ParameterDistribution;
 pub use spec::{
-    Base, Choice, Distribution, DriverName, LogNormal, Normal, ParameterSpec, PointMass, SPACE_VERSION, ShapeScale,
-    SpaceSpec, Uniform, Value,
+    Base, ChoiceSpec, DistributionSpec, DriverName, LogNormalSpec, NormalSpec, ParameterSpec, PointMassSpec, SPACE_VERSION, ShapeScaleSpec,
+    SpaceSpec, UniformSpec, ParameterValue,
 };
 
 use self::copula::Copula;
-use self::field::Target;
-use self::marginal::Marginal;
-use self::spec::Kind;
+use self::field::FieldTarget;
+use self::marginal::CoordinateMarginal;
+use self::spec::ValueKind;
 use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 use crate::random::{self, Purpose};
 
@@ -95,12 +95,12 @@ use crate::random::{self, Purpose};
 /// assert_eq!(space.draw(7, 3).unwrap(), space.draw(7, 3).unwrap());
 /// ```
 #[derive(Debug, Clone)]
-pub struct Space {
+pub struct ScenarioSpace {
     spec: SpaceSpec,
     /// The base scenario; where it lines up, with gaps in place of all positions but the leader's.
     template: ScenarioSpec,
-    lines_up: bool,
-    parameters: Vec<Parameter>,
+    uses_gaps: bool,
+    parameters: Vec<SpaceParameter>,
     /// Parameters in the order in which they are set.
     order: Vec<usize>,
     /// How coordinates depend on each other.
@@ -109,16 +109,16 @@ pub struct Space {
 
 /// A parameter of a space.
 #[derive(Debug, Clone)]
-pub struct Parameter {
+pub struct SpaceParameter {
     name: String,
     unit: &'static str,
-    target: Target,
-    marginal: Marginal,
+    target: FieldTarget,
+    marginal: CoordinateMarginal,
     coordinates: Range<usize>,
     nominal: Vec<f64>,
 }
 
-impl Parameter {
+impl SpaceParameter {
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -152,13 +152,13 @@ impl Parameter {
     /// Whether it is one of a few values.
     #[must_use]
     pub fn is_choice(&self) -> bool {
-        matches!(self.marginal, Marginal::Choice { .. })
+        matches!(self.marginal, CoordinateMarginal::Choice { .. })
     }
 
     /// Whether its values have names instead of being numbers: a vehicle's class, or its driver.
     #[must_use]
-    pub fn is_named(&self) -> bool {
-        self.target.kind() != Kind::Number
+    pub fn has_named_values(&self) -> bool {
+        self.target.kind() != ValueKind::Number
     }
 
     /// The value at a coordinate from 0 to 1, on the parameter's own scale: even over the range, or over its logarithm.
@@ -169,8 +169,8 @@ impl Parameter {
 
     /// Whether it is part of the script that vehicle 0 follows.
     #[must_use]
-    pub fn scripts_leader(&self) -> bool {
-        self.target.drives() == Some(0)
+    pub fn is_leader_script(&self) -> bool {
+        self.target.driver_vehicle() == Some(0)
     }
 
     /// Where in [0, 1] a value lies.
@@ -181,17 +181,17 @@ impl Parameter {
 
     /// The value as a reader knows it: a number, or a name.
     #[must_use]
-    pub fn show(&self, value: f64) -> String {
+    pub fn format_value(&self, value: f64) -> String {
         let name = match self.target.kind() {
-            Kind::Number => None,
-            Kind::Class => VehicleClass::ALL.get(value as usize).map(|class| class.name()),
-            Kind::Driver => DriverName::of_number(value).map(DriverName::name),
+            ValueKind::Number => None,
+            ValueKind::Class => VehicleClass::ALL.get(value as usize).map(|class| class.name()),
+            ValueKind::Driver => DriverName::from_number(value).map(DriverName::name),
         };
         name.map_or_else(|| value.to_string(), str::to_owned)
     }
 }
 
-impl Space {
+impl ScenarioSpace {
     /// The data of the space, with the base scenario spelled out.
     #[must_use]
     pub fn spec(&self) -> &SpaceSpec {
@@ -206,7 +206,7 @@ impl Space {
 
     /// What varies.
     #[must_use]
-    pub fn parameters(&self) -> &[Parameter] {
+    pub fn parameters(&self) -> &[SpaceParameter] {
         &self.parameters
     }
 
@@ -219,7 +219,7 @@ impl Space {
     /// A name for each coordinate: the parameter's, with the number of the piece for a signal.
     #[must_use]
     pub fn coordinate_names(&self) -> Vec<String> {
-        let name = |parameter: &Parameter| -> Vec<String> {
+        let name = |parameter: &SpaceParameter| -> Vec<String> {
             match parameter.coordinates.len() {
                 1 => vec![parameter.name.clone()],
                 pieces => (0..pieces).map(|piece| format!("{}_{piece}", parameter.name)).collect(),
@@ -229,7 +229,7 @@ impl Space {
     }
 
     /// The parameter that each coordinate belongs to.
-    pub fn coordinate_parameters(&self) -> impl Iterator<Item = &Parameter> {
+    pub fn coordinate_parameters(&self) -> impl Iterator<Item = &SpaceParameter> {
         self.parameters.iter().flat_map(|parameter| std::iter::repeat_n(parameter, parameter.coordinates.len()))
     }
 
@@ -268,7 +268,7 @@ impl Space {
     /// Whether values, one a coordinate, are in the space: each within its range, and of a choice one of its values.
     #[must_use]
     pub fn contains(&self, values: &[f64]) -> bool {
-        let is_of = |(parameter, &value): (&Parameter, &f64)| {
+        let is_of = |(parameter, &value): (&SpaceParameter, &f64)| {
             let [low, high] = parameter.range();
             let is_chosen = || parameter.value(parameter.coordinate(value)) == value;
             (low..=high).contains(&value) && (!parameter.is_choice() || is_chosen())
@@ -279,25 +279,25 @@ impl Space {
     /// The scenario of values, one a coordinate.
     ///
     /// # Errors
-    /// [`InvalidField`] for values outside the ranges; never for what [`Space::values`] returns.
+    /// [`InvalidField`] for values outside the ranges; never for what [`ScenarioSpace::values`] returns.
     pub fn scenario(&self, values: &[f64]) -> Result<Scenario, InvalidField> {
-        Scenario::new(self.filled(values))
+        Scenario::new(self.fill_template(values))
     }
 
     /// The scenario at a point, coordinates running over the ranges.
     ///
     /// # Errors
-    /// None: [`Space::new`] has checked all points. The error is passed on rather than hidden.
-    pub fn at(&self, point: &[f64]) -> Result<Scenario, InvalidField> {
+    /// None: [`ScenarioSpace::new`] has checked all points. The error is passed on rather than hidden.
+    pub fn scenario_at(&self, point: &[f64]) -> Result<Scenario, InvalidField> {
         self.scenario(&self.values(point))
     }
 
     /// The scenario at a point, with noise of its own.
     ///
     /// # Errors
-    /// None, as for [`Space::at`].
-    pub fn at_with_noise(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
-        let mut spec = self.filled(&self.values(point));
+    /// None, as for [`ScenarioSpace::at`].
+    pub fn scenario_at_with_seed(&self, point: &[f64], seed: u64) -> Result<Scenario, InvalidField> {
+        let mut spec = self.fill_template(&self.values(point));
         // A TOML file cannot hold more.
         spec.seed = seed & i64::MAX as u64;
         Scenario::new(spec)
@@ -307,7 +307,7 @@ impl Space {
     /// coordinate by coordinate; where coordinates depend on each other, shares that the copula makes of them.
     #[must_use]
     pub fn quantile(&self, uniform: &[f64]) -> Vec<f64> {
-        let depending = self.copula.as_ref().map(|copula| copula.depending(uniform));
+        let depending = self.copula.as_ref().map(|copula| copula.correlate(uniform));
         let shares = depending.as_deref().unwrap_or(uniform);
         self.coordinate_parameters().zip(shares).map(|(parameter, &u)| parameter.marginal.quantile(u)).collect()
     }
@@ -318,7 +318,7 @@ impl Space {
         let apart: f64 =
             self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.ln_density(x)).sum();
         let Some(copula) = &self.copula else { return apart };
-        let below = self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.share_below(x));
+        let below = self.coordinate_parameters().zip(point).map(|(parameter, &x)| parameter.marginal.cdf(x));
         apart + copula.ln_density(&below.collect::<Vec<_>>())
     }
 
@@ -326,9 +326,9 @@ impl Space {
     /// any order.
     ///
     /// # Errors
-    /// None, as for [`Space::at`].
+    /// None, as for [`ScenarioSpace::at`].
     pub fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        let mut spec = self.filled(&self.values(&self.draw_point(seed, index)));
+        let mut spec = self.fill_template(&self.values(&self.draw_point(seed, index)));
         spec.seed = random::derived_seed(seed, index);
         spec.name = format!("{}-draw-{seed}-{index}", self.spec.name);
         spec.about = format!("A draw from the space `{}`.", self.spec.name);
@@ -338,17 +338,17 @@ impl Space {
     /// The point of the `index`-th draw.
     #[must_use]
     pub fn draw_point(&self, seed: u64, index: u64) -> Vec<f64> {
-        let mut stream = random::stream(seed, Purpose::ScenarioDraw, index);
+        let mut stream = random::stream(seed, Purpose::ScenarioSampling, index);
         let uniform: Vec<f64> = (0..self.dimension()).map(|_| stream.random()).collect();
         self.quantile(&uniform)
     }
 
-    fn filled(&self, values: &[f64]) -> ScenarioSpec {
+    fn fill_template(&self, values: &[f64]) -> ScenarioSpec {
         let mut spec = self.template.clone();
         for parameter in self.order.iter().filter_map(|&index| self.parameters.get(index)) {
             parameter.target.set(&mut spec, values.get(parameter.coordinates.clone()).unwrap_or_default());
         }
-        if self.lines_up {
+        if self.uses_gaps {
             let mut rear_bumper_m = 0.0;
             for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
                 if index > 0 {

@@ -2,20 +2,20 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{InvalidSpace, wrong};
+use super::check::{InvalidSpace, reject};
 use super::spec::SpaceSpec;
-use crate::scenario::short;
+use crate::scenario::format_compact;
 
 /// The most sources of a space.
-const MOST_SOURCES: usize = 1000;
+const MAX_SOURCES: usize = 1000;
 /// The most episodes whose numbers a space keeps.
-const MOST_EPISODES: usize = 10_000;
+const MAX_EPISODES: usize = 10_000;
 
 /// In how much driving the scenarios of a space were observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Exposure {
+pub struct DrivingExposure {
     /// How many such scenarios there were; at least 1.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub episodes: u64,
@@ -58,10 +58,11 @@ fn is_zero(number: &u64) -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Observed {
+pub struct ObservedData {
     /// Number of the wave of braking that each episode belongs to, from 0: those of one wave are not independent of each other, and are
     /// resampled together.
-    pub waves: Vec<u32>,
+    #[serde(rename = "waves")]
+    pub braking_clusters: Vec<u32>,
     /// The parameters, all or some.
     pub parameters: Vec<ObservedParameter>,
 }
@@ -84,26 +85,26 @@ pub struct ObservedParameter {
     pub values: Vec<f64>,
 }
 
-impl Exposure {
+impl DrivingExposure {
     pub(super) fn check(&self) -> Result<(), InvalidSpace> {
         let above =
             |field: &str, found: f64, least: bool| match found.is_finite() && (found > 0.0 || least && found == 0.0) {
                 true => Ok(()),
-                false => wrong(field, format!("must be a finite number above 0, found {}", short(found))),
+                false => reject(field, format!("must be a finite number above 0, found {}", format_compact(found))),
             };
         if self.episodes == 0 {
-            return wrong("exposure.episodes", "must be at least 1, found 0");
+            return reject("exposure.episodes", "must be at least 1, found 0");
         }
         above("exposure.hours", self.hours, false)?;
         above("exposure.kilometres", self.kilometres, false)?;
-        if self.sources.len() > MOST_SOURCES {
-            return wrong("exposure.sources", format!("must be at most {MOST_SOURCES}, found {}", self.sources.len()));
+        if self.sources.len() > MAX_SOURCES {
+            return reject("exposure.sources", format!("must be at most {MAX_SOURCES}, found {}", self.sources.len()));
         }
         for (index, source) in self.sources.iter().enumerate() {
             let at = |field: &str| format!("exposure.sources[{index}].{field}");
             let length = source.name.chars().count();
             if !(1..=200).contains(&length) || source.name.chars().any(char::is_control) {
-                return wrong(at("name"), "must have 1 to 200 characters, none of them a control character");
+                return reject(at("name"), "must have 1 to 200 characters, none of them a control character");
             }
             above(&at("hours"), source.hours, true)?;
             above(&at("kilometres"), source.kilometres, true)?;
@@ -119,54 +120,54 @@ impl Exposure {
             ("exposure.left_out", self.left_out as f64, sum(|source| source.left_out as f64)),
         ] {
             if (all - found).abs() > 1e-6 * all {
-                return wrong(field, format!("is {}, and the sources add up to {}", short(all), short(found)));
+                return reject(field, format!("is {}, and the sources add up to {}", format_compact(all), format_compact(found)));
             }
         }
         Ok(())
     }
 }
 
-impl Observed {
+impl ObservedData {
     pub(super) fn check(&self, space: &SpaceSpec) -> Result<(), InvalidSpace> {
-        let episodes = self.waves.len();
-        if !(2..=MOST_EPISODES).contains(&episodes) {
-            return wrong("observed.waves", format!("must be of 2 to {MOST_EPISODES} episodes, found {episodes}"));
+        let episodes = self.braking_clusters.len();
+        if !(2..=MAX_EPISODES).contains(&episodes) {
+            return reject("observed.waves", format!("must be of 2 to {MAX_EPISODES} episodes, found {episodes}"));
         }
-        if let Some(wave) = self.waves.iter().find(|wave| **wave as usize >= episodes) {
-            return wrong("observed.waves", format!("must be below the number of episodes, {episodes}, found {wave}"));
+        if let Some(wave) = self.braking_clusters.iter().find(|wave| **wave as usize >= episodes) {
+            return reject("observed.waves", format!("must be below the number of episodes, {episodes}, found {wave}"));
         }
         if let Some(exposure) = &space.exposure
             && exposure.episodes != episodes as u64
         {
             let found = exposure.episodes;
-            return wrong("exposure.episodes", format!("is {found}, and {episodes} are observed"));
+            return reject("exposure.episodes", format!("is {found}, and {episodes} are observed"));
         }
         if self.parameters.is_empty() {
-            return wrong("observed.parameters", "must have at least one");
+            return reject("observed.parameters", "must have at least one");
         }
         for (index, parameter) in self.parameters.iter().enumerate() {
             let at = |field: &str| format!("observed.parameters[{index}].{field}");
             let ObservedParameter { name, low, high, point_mass, values } = parameter;
             if !space.parameters.iter().any(|known| known.name == *name) {
-                return wrong(at("name"), format!("there is no parameter `{name}`"));
+                return reject(at("name"), format!("there is no parameter `{name}`"));
             }
             if self.parameters.iter().take(index).any(|known| known.name == *name) {
-                return wrong(at("name"), format!("`{name}` is named twice"));
+                return reject(at("name"), format!("`{name}` is named twice"));
             }
             if !(low.is_finite() && high.is_finite() && low < high) {
-                let problem = format!("must be a number below high, found {} and {}", short(*low), short(*high));
-                return wrong(at("low"), problem);
+                let problem = format!("must be a number below high, found {} and {}", format_compact(*low), format_compact(*high));
+                return reject(at("low"), problem);
             }
             if let Some(found) = point_mass.filter(|point| point != low && point != high) {
-                let (low, high, found) = (short(*low), short(*high), short(found));
-                return wrong(at("point_mass"), format!("must be {low} or {high}, found {found}"));
+                let (low, high, found) = (format_compact(*low), format_compact(*high), format_compact(found));
+                return reject(at("point_mass"), format!("must be {low} or {high}, found {found}"));
             }
             if values.len() != episodes {
-                return wrong(at("values"), format!("must be {episodes}, one an episode, found {}", values.len()));
+                return reject(at("values"), format!("must be {episodes}, one an episode, found {}", values.len()));
             }
             if let Some(found) = values.iter().find(|value| !(low..=high).contains(value)) {
-                let (low, high, found) = (short(*low), short(*high), short(*found));
-                return wrong(at("values"), format!("must be from {low} to {high}, found {found}"));
+                let (low, high, found) = (format_compact(*low), format_compact(*high), format_compact(*found));
+                return reject(at("values"), format!("must be from {low} to {high}, found {found}"));
             }
         }
         Ok(())

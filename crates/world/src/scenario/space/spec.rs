@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use super::copula::Dependence;
-use super::observed::{Exposure, Observed};
+use super::observed::{DrivingExposure, ObservedData};
 use crate::control::ControllerSpec;
 use crate::scenario::{ScenarioSpec, VehicleClass};
 
@@ -35,10 +35,10 @@ pub struct SpaceSpec {
     pub dependence: Option<Dependence>,
     /// In how much driving the distribution was observed, so that failures can be stated per hour and kilometre.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub exposure: Option<Exposure>,
+    pub exposure: Option<DrivingExposure>,
     /// What the distribution was fitted to, so that it can be fitted again to resamples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub observed: Option<Observed>,
+    pub observed: Option<ObservedData>,
 }
 
 /// The base scenario: spelled out, or the name of a built-in one or of a file beside the space's.
@@ -65,39 +65,39 @@ pub struct ParameterSpec {
     pub unit: String,
     /// Nominal value; by default the one in the base scenario.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub nominal: Option<Value>,
+    pub nominal: Option<ParameterValue>,
     /// How it is distributed, and in which range.
-    pub distribution: Distribution,
+    pub distribution: DistributionSpec,
 }
 
 /// How a parameter is distributed. Each piece of a signal is distributed like this, independently of the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Distribution {
+pub enum DistributionSpec {
     /// Every value alike.
-    Uniform(Uniform),
+    Uniform(UniformSpec),
     /// Every value alike on a logarithmic scale.
-    LogUniform(Uniform),
+    LogUniform(UniformSpec),
     /// Normal, cut at both ends of the range.
-    Normal(Normal),
+    Normal(NormalSpec),
     /// Log-normal, cut at both ends of the range.
-    LogNormal(LogNormal),
+    LogNormal(LogNormalSpec),
     /// Gamma, cut at both ends of the range.
-    Gamma(ShapeScale),
+    Gamma(ShapeScaleSpec),
     /// Weibull, cut at both ends of the range.
-    Weibull(ShapeScale),
+    Weibull(ShapeScaleSpec),
     /// One of a few values.
-    Choice(Choice),
+    Choice(ChoiceSpec),
     /// One value with a probability of its own, and a density over all others.
-    PointMass(PointMass),
+    PointMass(PointMassSpec),
 }
 
 /// A range, both ends included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Uniform {
+pub struct UniformSpec {
     /// Smallest value; above 0 on a logarithmic scale.
     pub low: f64,
     /// Largest value.
@@ -108,7 +108,7 @@ pub struct Uniform {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Normal {
+pub struct NormalSpec {
     /// Mean before cutting.
     pub mean: f64,
     /// Standard deviation before cutting; above 0.
@@ -123,7 +123,7 @@ pub struct Normal {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct LogNormal {
+pub struct LogNormalSpec {
     /// Mean of the logarithm before cutting.
     pub ln_mean: f64,
     /// Standard deviation of the logarithm before cutting; above 0.
@@ -138,7 +138,7 @@ pub struct LogNormal {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct ShapeScale {
+pub struct ShapeScaleSpec {
     /// Shape: 1 is exponential; from 0.01 to 1 000 000.
     pub shape: f64,
     /// Scale, in the parameter's unit; above 0.
@@ -154,22 +154,22 @@ pub struct ShapeScale {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct PointMass {
+pub struct PointMassSpec {
     /// The value: an end of the range of the others, or outside it.
     pub at: f64,
     /// Its probability: from 0, below 1.
     pub probability: f64,
     /// How all other values are distributed: neither a choice nor another point mass.
-    pub others: Box<Distribution>,
+    pub others: Box<DistributionSpec>,
 }
 
 /// A few values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Choice {
+pub struct ChoiceSpec {
     /// The values: numbers, vehicle classes, or built-in controllers.
-    pub values: Vec<Value>,
+    pub values: Vec<ParameterValue>,
     /// How likely each is, relative to the others; by default all alike.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<Vec<f64>>,
@@ -179,7 +179,7 @@ pub struct Choice {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(untagged, expecting = "must be a number, a vehicle class or a built-in controller")]
-pub enum Value {
+pub enum ParameterValue {
     /// A number in the field's unit.
     Number(f64),
     /// A vehicle class.
@@ -190,18 +190,18 @@ pub enum Value {
 
 /// What a value is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ValueKind {
     Number,
     Class,
     Driver,
 }
 
-impl Value {
-    pub(super) fn kind(self) -> Kind {
+impl ParameterValue {
+    pub(super) fn kind(self) -> ValueKind {
         match self {
-            Self::Number(_) => Kind::Number,
-            Self::Class(_) => Kind::Class,
-            Self::Driver(_) => Kind::Driver,
+            Self::Number(_) => ValueKind::Number,
+            Self::Class(_) => ValueKind::Class,
+            Self::Driver(_) => ValueKind::Driver,
         }
     }
 }
@@ -214,7 +214,7 @@ impl DriverName {
     /// The name, if it is one.
     #[must_use]
     pub fn find(name: &str) -> Option<Self> {
-        ControllerSpec::named(name).map(|spec| Self(spec.name()))
+        ControllerSpec::from_name(name).map(|spec| Self(spec.name()))
     }
 
     /// The name itself.
@@ -225,17 +225,17 @@ impl DriverName {
 
     /// The controller with its default settings.
     pub(super) fn controller(self) -> Option<ControllerSpec> {
-        ControllerSpec::named(self.0)
+        ControllerSpec::from_name(self.0)
     }
 
     /// Its place among the built-in controllers, by which points hold it while a program runs.
     pub(super) fn number(self) -> f64 {
-        ControllerSpec::built_in().iter().position(|spec| spec.name() == self.0).map_or(f64::NAN, |index| index as f64)
+        ControllerSpec::all().iter().position(|spec| spec.name() == self.0).map_or(f64::NAN, |index| index as f64)
     }
 
     /// The name at a place.
-    pub(super) fn of_number(number: f64) -> Option<Self> {
-        ControllerSpec::built_in().get(number as usize).map(|spec| Self(spec.name()))
+    pub(super) fn from_number(number: f64) -> Option<Self> {
+        ControllerSpec::all().get(number as usize).map(|spec| Self(spec.name()))
     }
 }
 
@@ -253,37 +253,37 @@ impl<'de> Deserialize<'de> for DriverName {
 }
 
 /// The law and the range, as a reader wants them; without the unit.
-impl fmt::Display for Distribution {
+impl fmt::Display for DistributionSpec {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Uniform(Uniform { low, high }) => write!(out, "{low} to {high}, evenly"),
-            Self::LogUniform(Uniform { low, high }) => write!(out, "{low} to {high}, evenly on a logarithmic scale"),
-            Self::Normal(Normal { mean, deviation, low, high }) => {
+            Self::Uniform(UniformSpec { low, high }) => write!(out, "{low} to {high}, evenly"),
+            Self::LogUniform(UniformSpec { low, high }) => write!(out, "{low} to {high}, evenly on a logarithmic scale"),
+            Self::Normal(NormalSpec { mean, deviation, low, high }) => {
                 write!(out, "{low} to {high}, normal: {mean} ± {deviation}")
             }
-            Self::LogNormal(LogNormal { ln_mean, ln_deviation, low, high }) => {
+            Self::LogNormal(LogNormalSpec { ln_mean, ln_deviation, low, high }) => {
                 write!(out, "{low} to {high}, log-normal: logarithm {ln_mean} ± {ln_deviation}")
             }
-            Self::Gamma(ShapeScale { shape, scale, low, high }) => {
+            Self::Gamma(ShapeScaleSpec { shape, scale, low, high }) => {
                 write!(out, "{low} to {high}, gamma: shape {shape}, scale {scale}")
             }
-            Self::Weibull(ShapeScale { shape, scale, low, high }) => {
+            Self::Weibull(ShapeScaleSpec { shape, scale, low, high }) => {
                 write!(out, "{low} to {high}, Weibull: shape {shape}, scale {scale}")
             }
-            Self::Choice(Choice { values, weights }) => {
-                let words: Vec<String> = values.iter().map(Value::to_string).collect();
+            Self::Choice(ChoiceSpec { values, weights }) => {
+                let words: Vec<String> = values.iter().map(ParameterValue::to_string).collect();
                 write!(out, "{}", words.join(" or "))?;
                 let weights = weights.iter().flatten().map(f64::to_string).collect::<Vec<_>>();
                 if weights.is_empty() { Ok(()) } else { write!(out, ", {}", weights.join(" to ")) }
             }
-            Self::PointMass(PointMass { at, probability, others }) => {
+            Self::PointMass(PointMassSpec { at, probability, others }) => {
                 write!(out, "{at} with probability {probability}, otherwise {others}")
             }
         }
     }
 }
 
-impl fmt::Display for Value {
+impl fmt::Display for ParameterValue {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number(number) => number.fmt(out),
@@ -305,9 +305,9 @@ impl Serialize for Base {
 impl<'de> Deserialize<'de> for Base {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         /// Not an untagged enum: that would lose the line and field of a mistake inside the scenario.
-        struct NameOrTable;
-        impl<'de> de::Visitor<'de> for NameOrTable {
-            type Value = Base;
+        struct BaseVisitor;
+        impl<'de> de::Visitor<'de> for BaseVisitor {
+            type ParameterValue = Base;
 
             fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
                 out.write_str("a scenario's name, or a scenario")
@@ -322,7 +322,7 @@ impl<'de> Deserialize<'de> for Base {
                 Ok(Base::Inline(Box::new(spec)))
             }
         }
-        deserializer.deserialize_any(NameOrTable)
+        deserializer.deserialize_any(BaseVisitor)
     }
 }
 
@@ -333,7 +333,7 @@ impl schemars::JsonSchema for DriverName {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        let names: Vec<_> = ControllerSpec::built_in().iter().map(ControllerSpec::name).collect();
+        let names: Vec<_> = ControllerSpec::all().iter().map(ControllerSpec::name).collect();
         schemars::json_schema!({ "description": "The name of a built-in controller.", "enum": names })
     }
 }

@@ -69,7 +69,7 @@ proptest! {
 }
 
 /// The largest distance between two empirical distribution functions (Kolmogorov and Smirnov).
-fn distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
+fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
     a.sort_by(f64::total_cmp);
     b.sort_by(f64::total_cmp);
     let share = |of: &[f64], x: f64| of.partition_point(|y| *y <= x) as f64 / of.len() as f64;
@@ -86,8 +86,8 @@ fn the_paper_space_has_the_papers_law() {
         Driver::Profile(LeadProfile::Brake(brake)) => brake.clone(),
         other => panic!("{other:?}"),
     };
-    type Quantity<'a> = (&'a str, &'a dyn Fn(&Scenario) -> f64);
-    let quantities: [Quantity<'_>; 8] = [
+    type NamedQuantity<'a> = (&'a str, &'a dyn Fn(&Scenario) -> f64);
+    let quantities: [NamedQuantity<'_>; 8] = [
         ("leader", &|s| s.vehicles()[0].position_m),
         ("gap ahead", &|s| s.initial_gap_m(1).unwrap()),
         ("gap behind", &|s| s.initial_gap_m(2).unwrap()),

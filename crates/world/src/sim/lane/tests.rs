@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::super::{AfterContact, RecordingLevel, Run, RunOptions, Simulated, Track, simulate};
 use crate::control::ControllerSpec;
-use crate::measure::{Ahead, Imposed};
+use crate::measure::{Ahead, InducedBraking};
 use crate::observation::EstimatorKind;
 use crate::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec, built_in,
@@ -14,24 +14,24 @@ fn scenario(vehicles: Vec<VehicleSpec>, duration_s: f64) -> Scenario {
     Scenario::new(ScenarioSpec { name: "lanes".to_owned(), duration_s, vehicles, ..spec }).unwrap()
 }
 
-fn scripted(position_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
+fn scripted_vehicle(position_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
     VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Profile(profile))
 }
 
-fn steady(position_m: f64, speed_mps: f64) -> VehicleSpec {
+fn steady_vehicle(position_m: f64, speed_mps: f64) -> VehicleSpec {
     scripted(position_m, speed_mps, LeadProfile::ConstantSpeed)
 }
 
-fn driven(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
+fn controlled_vehicle(position_m: f64, speed_mps: f64, controller: &str) -> VehicleSpec {
     let controller = ControllerSpec::named(controller).unwrap();
     VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, Driver::Controller(controller))
 }
 
-fn entering(vehicle: VehicleSpec, enters: LaneChange) -> VehicleSpec {
+fn with_entry(vehicle: VehicleSpec, enters: LaneChange) -> VehicleSpec {
     VehicleSpec { enters: Some(enters), ..vehicle }
 }
 
-fn leaving(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
+fn with_exit(vehicle: VehicleSpec, leaves: LaneChange) -> VehicleSpec {
     VehicleSpec { leaves: Some(leaves), ..vehicle }
 }
 
@@ -47,7 +47,7 @@ fn tracks(simulated: &Simulated) -> &[Track] {
     &simulated.trace.as_ref().unwrap().vehicles
 }
 
-fn onset(onset_s: f64, rate_mps2: f64) -> LeadProfile {
+fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
     LeadProfile::Brake(Brake { onset_s, rate_mps2 })
 }
 
@@ -250,12 +250,12 @@ proptest! {
             let measured_m = Ahead::of(trace, &coarse.impacts, index).and_then(|ahead| ahead.min_gap_m);
             let gaps_m = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
             prop_assert!(close(gaps_m[0], gaps_m[1]), "vehicle {index}: {gaps_m:?}");
-            prop_assert!(Imposed::of(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
+            prop_assert!(InducedBraking::of(trace, &coarse.impacts, index).is_none_or(|imposed| imposed.peak_brake_mps2 < Some(31.0)));
         }
     }
 }
 
-fn change() -> impl Strategy<Value = LaneChange> {
+fn any_lane_change() -> impl Strategy<Value = LaneChange> {
     prop_oneof![
         (0.0..7.0_f64).prop_map(LaneChange::At),
         (0.5..40.0_f64).prop_map(LaneChange::Gap),

@@ -2,27 +2,27 @@
 
 use pulp::Arch;
 
-use super::column::Column;
-use super::per_run::Runs;
+use super::column::VehicleColumn;
+use super::per_run::RunSet;
 use crate::sim::motion::{closest_gap_m, first_contact};
-use crate::sim::platoon::Platoon;
-use crate::sim::recorder::finished;
-use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, Simulated, Trace};
+use crate::sim::platoon::PlatoonState;
+use crate::sim::recorder::assemble_result;
+use crate::sim::{AfterContact, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace};
 
 /// Runs of one shape, at most [`Runs::MOST`]. A finished run's place is taken by the last one's.
-pub(super) struct Block<'a> {
+pub(super) struct LockstepBlock<'a> {
     arch: Arch,
-    keep: RecordingLevel,
-    lanes: Vec<Lane<'a>>,
-    columns: Vec<Column<'a>>,
+    recording_level: RecordingLevel,
+    lanes: Vec<RunLane<'a>>,
+    columns: Vec<VehicleColumn<'a>>,
     /// Runs in which vehicles have touched.
-    touched: Runs,
+    collided: RunSet,
     /// The step at which the next run ends, if no contact ends one before.
     next_end: usize,
 }
 
 /// What belongs to one run.
-pub(super) struct Lane<'a> {
+pub(super) struct RunLane<'a> {
     index: usize,
     pub(super) run: &'a Run,
     steps: usize,
@@ -31,49 +31,49 @@ pub(super) struct Lane<'a> {
 }
 
 /// A run in which vehicles touch, or have touched, and which is treated as the scalar engine does.
-struct Exact {
+struct ScalarFallback {
     lane: usize,
-    platoon: Platoon,
+    platoon: PlatoonState,
     /// When the run ended, if it did, in seconds.
     ended_s: Option<f64>,
 }
 
-impl<'a> Block<'a> {
+impl<'a> LockstepBlock<'a> {
     pub(super) fn new(arch: Arch, runs: &'a [Run], members: &[usize], keep: RecordingLevel) -> Self {
-        let platoons: Vec<Platoon> = members.iter().map(|&index| runs[index].platoon()).collect();
+        let platoons: Vec<PlatoonState> = members.iter().map(|&index| runs[index].initial_platoon()).collect();
         let lanes: Vec<_> = members
             .iter()
             .zip(&platoons)
             .map(|(&index, platoon)| {
                 let (run, steps) = (&runs[index], runs[index].scenario().steps());
                 let trace = Trace::begin(keep, platoon, steps * run.substeps() + 1);
-                Lane { index, run, steps, impacts: Vec::new(), trace }
+                RunLane { index, run, steps, impacts: Vec::new(), trace }
             })
             .collect();
         let vehicles = platoons.first().map_or(0, |platoon| platoon.motion.len());
         let mut block = Self {
             arch,
-            keep,
-            columns: (0..vehicles).map(|vehicle| Column::new(&lanes, &platoons, vehicle)).collect(),
+            recording_level: keep,
+            columns: (0..vehicles).map(|vehicle| VehicleColumn::new(&lanes, &platoons, vehicle)).collect(),
             lanes,
-            touched: Runs::default(),
+            collided: RunSet::default(),
             next_end: 0,
         };
-        block.see_start();
+        block.init_min_gap_and_ttc();
         block.find_next_end();
         block
     }
 
     /// Runs all to their ends and hands over each result with the index of its run. Not generic, so that the engine is
     /// compiled here once and not in every crate that calls it.
-    pub(super) fn run(mut self, done: &mut dyn FnMut(usize, Simulated)) {
+    pub(super) fn run(mut self, done: &mut dyn FnMut(usize, SimulationResult)) {
         let Some(first) = self.lanes.first().map(|lane| lane.run) else { return };
         for step in 0.. {
             if step == self.next_end {
                 for lane in (0..self.lanes.len()).rev() {
                     if self.lanes[lane].steps == step {
-                        self.sample(lane, first.time_s(step, 0));
-                        self.finish(lane, None, done);
+                        self.record_sample(lane, first.time_s(step, 0));
+                        self.finish_run(lane, None, done);
                     }
                 }
             }
@@ -91,13 +91,13 @@ impl<'a> Block<'a> {
     }
 
     /// All drivers decide on the state at the start of the step. Runs in which one fails end there.
-    fn decide(&mut self, span_s: [f64; 2], done: &mut dyn FnMut(usize, Simulated)) {
+    fn decide(&mut self, span_s: [f64; 2], done: &mut dyn FnMut(usize, SimulationResult)) {
         // Allocates nothing unless a controller fails.
         let mut failed: Vec<(usize, FailedController)> = Vec::new();
         for vehicle in 0..self.columns.len() {
             let (front, rest) = self.columns.split_at_mut(vehicle);
             if let [own, behind @ ..] = rest {
-                let failures = own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.touched);
+                let failures = own.decide(self.arch, &self.lanes, [front.last(), behind.first()], span_s, self.collided);
                 failed.extend(
                     failures
                         .into_iter()
@@ -109,13 +109,13 @@ impl<'a> Block<'a> {
         failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
         failed.dedup_by_key(|(lane, _)| *lane);
         for (lane, failed) in failed {
-            self.sample(lane, span_s[0]);
-            self.finish(lane, Some(failed), done);
+            self.record_sample(lane, span_s[0]);
+            self.finish_run(lane, Some(failed), done);
         }
         for column in &mut self.columns {
-            std::mem::swap(&mut column.acceleration_mps2, &mut column.decided_mps2);
+            std::mem::swap(&mut column.acceleration_mps2, &mut column.next_acceleration_mps2);
         }
-        for lane in self.touched.iter() {
+        for lane in self.collided.iter() {
             let mut platoon = self.gather(lane);
             platoon.share_acceleration();
             self.scatter(lane, &platoon);
@@ -123,40 +123,40 @@ impl<'a> Block<'a> {
     }
 
     /// Everybody moves by one integration step.
-    fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut dyn FnMut(usize, Simulated)) {
-        if self.keep == RecordingLevel::Trace {
-            (0..self.lanes.len()).for_each(|lane| self.sample(lane, from_s));
+    fn advance(&mut self, from_s: f64, dt_s: f64, done: &mut dyn FnMut(usize, SimulationResult)) {
+        if self.recording_level == RecordingLevel::Trace {
+            (0..self.lanes.len()).for_each(|lane| self.record_sample(lane, from_s));
         }
         for column in &mut self.columns {
             column.step(self.arch, dt_s);
         }
-        let (touching, closest) = self.meet(dt_s);
-        let exact: Vec<Exact> = touching.iter().map(|lane| self.advance_exactly(lane, from_s, dt_s)).collect();
-        self.note_approach();
+        let (touching, closest) = self.find_contacts(dt_s);
+        let exact: Vec<ScalarFallback> = touching.iter().map(|lane| self.advance_scalar(lane, from_s, dt_s)).collect();
+        self.update_min_gap_and_ttc();
         for (lane, rear, gap_m) in closest {
             let least_m = &mut self.columns[rear].min_gap_m[lane];
             *least_m = least_m.min(gap_m);
         }
-        for Exact { lane, platoon, .. } in &exact {
+        for ScalarFallback { lane, platoon, .. } in &exact {
             self.scatter(*lane, platoon);
         }
-        self.columns.iter_mut().for_each(Column::turn_over);
-        for Exact { lane, ended_s, .. } in exact.into_iter().rev() {
+        self.columns.iter_mut().for_each(VehicleColumn::swap_buffers);
+        for ScalarFallback { lane, ended_s, .. } in exact.into_iter().rev() {
             if let Some(ended_s) = ended_s {
-                self.sample(lane, ended_s);
-                self.finish(lane, None, done);
+                self.record_sample(lane, ended_s);
+                self.finish_run(lane, None, done);
             }
         }
     }
 
     /// Looks inside the step: the runs in which vehicles touch or have touched, and for all others the smallest gap of each
     /// pair that is closest inside the step, as (run, rear vehicle, metres).
-    fn meet(&mut self, dt_s: f64) -> (Runs, Vec<(usize, usize, f64)>) {
-        let (mut touching, mut closest) = (self.touched, Vec::new());
-        let all = Runs::first(self.lanes.len());
+    fn find_contacts(&mut self, dt_s: f64) -> (RunSet, Vec<(usize, usize, f64)>) {
+        let (mut touching, mut closest) = (self.collided, Vec::new());
+        let all = RunSet::first(self.lanes.len());
         for (rear, pair) in (1..).zip(self.columns.windows(2)) {
             let [front, behind] = pair else { continue };
-            for lane in behind.screen(self.arch, front, dt_s).and(all).without(touching).iter() {
+            for lane in behind.screen(self.arch, front, dt_s).intersection(all).difference(touching).iter() {
                 let (front_motion, rear_motion) = (front.motion(lane), behind.motion(lane));
                 let length_m = front.length_m[lane];
                 if first_contact(front_motion, rear_motion, length_m, dt_s).is_some() {
@@ -171,57 +171,57 @@ impl<'a> Block<'a> {
     }
 
     /// One run by one step, through whatever contacts happen on the way.
-    fn advance_exactly(&mut self, lane: usize, from_s: f64, dt_s: f64) -> Exact {
+    fn advance_scalar(&mut self, lane: usize, from_s: f64, dt_s: f64) -> ScalarFallback {
         let mut platoon = self.gather(lane);
-        let Lane { run, impacts, .. } = &mut self.lanes[lane];
+        let RunLane { run, impacts, .. } = &mut self.lanes[lane];
         let after_contact = run.options().after_contact;
         let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
         if !impacts.is_empty() {
-            self.touched.insert(lane);
+            self.collided.insert(lane);
         }
         let ends = after_contact == AfterContact::Stop && !impacts.is_empty();
         for (column, motion) in self.columns.iter_mut().zip(&platoon.motion) {
             column.next_position_m[lane] = motion.position_m;
             column.next_speed_mps[lane] = motion.speed_mps;
         }
-        Exact { lane, platoon, ended_s: ends.then_some(from_s + done_s) }
+        ScalarFallback { lane, platoon, ended_s: ends.then_some(from_s + done_s) }
     }
 
     /// Time to collision before anybody has moved.
-    fn see_start(&mut self) {
+    fn init_min_gap_and_ttc(&mut self) {
         for column in &mut self.columns {
             column.step(self.arch, 0.0);
         }
-        self.note_approach();
+        self.update_min_gap_and_ttc();
     }
 
     /// Takes in gaps and times to collision at the end of the step.
-    fn note_approach(&mut self) {
+    fn update_min_gap_and_ttc(&mut self) {
         for rear in 1..self.columns.len() {
             let (front, rear) = self.columns.split_at_mut(rear);
             if let ([.., front], [rear, ..]) = (front, rear) {
-                rear.note_approach(self.arch, front);
+                rear.update_min_gap_and_ttc(self.arch, front);
             }
         }
     }
 
-    fn sample(&mut self, lane: usize, time_s: f64) {
+    fn record_sample(&mut self, lane: usize, time_s: f64) {
         let columns = &self.columns;
         if let Some(trace) = &mut self.lanes[lane].trace {
-            trace.sample(time_s, columns.iter().map(|column| column.motion(lane)));
+            trace.push_sample(time_s, columns.iter().map(|column| column.motion(lane)));
         }
     }
 
     /// Takes a run out of the block.
-    fn finish(&mut self, lane: usize, failed: Option<FailedController>, done: &mut dyn FnMut(usize, Simulated)) {
-        self.touched.swap_remove(lane, self.lanes.len() - 1);
-        let Lane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
+    fn finish_run(&mut self, lane: usize, failed: Option<FailedController>, done: &mut dyn FnMut(usize, SimulationResult)) {
+        self.collided.swap_remove(lane, self.lanes.len() - 1);
+        let RunLane { index, run, impacts, trace, .. } = self.lanes.swap_remove(lane);
         let step_s = run.scenario().spec().step_s;
         let columns = self.columns.iter().enumerate();
         let interventions = columns.flat_map(|(vehicle, column)| column.interventions(lane, vehicle, step_s)).collect();
-        let vehicles = self.columns.iter_mut().map(|column| column.finish(lane)).collect();
+        let vehicles = self.columns.iter_mut().map(|column| column.remove_run(lane)).collect();
         self.find_next_end();
-        done(index, finished(impacts, vehicles, interventions, trace, failed));
+        done(index, assemble_result(impacts, vehicles, interventions, trace, failed));
     }
 
     fn find_next_end(&mut self) {
@@ -229,24 +229,24 @@ impl<'a> Block<'a> {
     }
 
     /// One run as a platoon, for the exact treatment.
-    fn gather(&self, lane: usize) -> Platoon {
-        Platoon {
-            lane: crate::sim::lane::Lane::of_all(self.columns.len()),
+    fn gather(&self, lane: usize) -> PlatoonState {
+        PlatoonState {
+            lane: crate::sim::lane::RunLane::of_all(self.columns.len()),
             motion: self.columns.iter().map(|column| column.motion(lane)).collect(),
             length_m: self.columns.iter().map(|column| column.length_m[lane]).collect(),
             mass_kg: self.columns.iter().map(|column| column.mass_kg[lane]).collect(),
-            sticks: self.columns.iter().map(|column| column.sticks.contains(lane)).collect(),
+            locked_to_front: self.columns.iter().map(|column| column.locked_to_front.contains(lane)).collect(),
             min_gap_m: self.columns.iter().map(|column| column.min_gap_m[lane]).collect(),
         }
     }
 
     /// Writes back what the exact treatment changes, apart from positions and speeds.
-    fn scatter(&mut self, lane: usize, platoon: &Platoon) {
+    fn scatter(&mut self, lane: usize, platoon: &PlatoonState) {
         for (vehicle, column) in self.columns.iter_mut().enumerate() {
             column.acceleration_mps2[lane] = platoon.motion[vehicle].acceleration_mps2;
             column.min_gap_m[lane] = platoon.min_gap_m[vehicle];
-            if platoon.sticks[vehicle] {
-                column.sticks.insert(lane);
+            if platoon.locked_to_front[vehicle] {
+                column.locked_to_front.insert(lane);
             }
         }
     }

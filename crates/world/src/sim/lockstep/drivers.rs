@@ -3,21 +3,21 @@
 use pulp::Arch;
 
 use super::followers::Followers;
-use super::leaders::Leaders;
-use super::view::View;
+use super::leaders::ScriptedLeaders;
+use super::view::NeighbourhoodView;
 use crate::control::{
     self, AnyController, Controller, ControllerFailure, NetworkDriver, PolicyDriver, ProcessDriver, ZeroOrderHold,
     with_controllers,
 };
 use crate::observation::Observation;
 use crate::scenario::LeadProfile;
-use crate::sim::run::ActiveDriver;
+use crate::sim::run::VehicleController;
 
 macro_rules! define {
     (rules { $($(#[$doc:meta])* $rule:ident,)* } policies { $($rest:tt)* }) => {
         /// One driver a run, sorted out by kind so that a whole block is driven by one loop without dispatch inside it.
         pub(super) enum Drivers<'s> {
-            Profile(Leaders<'s>),
+            Profile(ScriptedLeaders<'s>),
             /// The Intelligent Driver Model, laid out for vector registers.
             Followers(Followers),
             $($(#[$doc])* $rule(Vec<control::$rule>),)*
@@ -27,15 +27,15 @@ macro_rules! define {
             /// From outside.
             Custom(Vec<ZeroOrderHold>),
             /// Drivers of several kinds, or behind shields.
-            Mixed(Vec<ActiveDriver<&'s LeadProfile>>),
+            Mixed(Vec<VehicleController<&'s LeadProfile>>),
         }
 
         impl<'s> Drivers<'s> {
-            pub(super) fn new(drivers: Vec<ActiveDriver<&'s LeadProfile>>) -> Self {
+            pub(super) fn new(drivers: Vec<VehicleController<&'s LeadProfile>>) -> Self {
                 /// The drivers back, unless all of them are as the pattern says.
                 macro_rules! unless_all {
                     ($drivers:ident, $pattern:pat => $driver:ident, $all:ident => $sorted:expr) => {
-                        match sorted(
+                        match all_of_kind(
                             $drivers,
                             #[allow(unused_variables)]
                             |driver| matches!(driver, $pattern),
@@ -49,8 +49,8 @@ macro_rules! define {
                         }
                     };
                 }
-                use ActiveDriver::{Controller as C, Profile as P};
-                let drivers = unless_all!(drivers, P(one) => one, all => Self::Profile(Leaders::new(all)));
+                use VehicleController::{Controller as C, Profile as P};
+                let drivers = unless_all!(drivers, P(one) => one, all => Self::Profile(ScriptedLeaders::new(all)));
                 let drivers = unless_all!(drivers, C(AnyController::Idm(one)) => one, all => Self::Followers(all.into()));
                 $(let drivers = unless_all!(drivers, C(AnyController::$rule(one)) => one, all => Self::$rule(all));)*
                 let drivers = unless_all!(drivers, C(AnyController::Policy(one)) => one, all => Self::Policy(all));
@@ -74,10 +74,10 @@ macro_rules! define {
                 failed: &mut Vec<(usize, ControllerFailure)>,
             ) {
                 match self {
-                    Self::Profile(leaders) => leaders.lead(arch, span_s, speeds_mps, commands),
+                    Self::Profile(leaders) => leaders.command(arch, span_s, speeds_mps, commands),
                     Self::Followers(followers) => {
                         for (run, command) in commands.iter_mut().enumerate() {
-                            *command = followers.model(run).wanted_mps2(&see(run));
+                            *command = followers.model(run).desired_acceleration_mps2(&see(run));
                         }
                     }
                     $(Self::$rule(all) => Controller::decide_together(all, see, commands, failed),)*
@@ -89,10 +89,10 @@ macro_rules! define {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);
                             match driver {
-                                ActiveDriver::Profile(profile) => {
+                                VehicleController::Profile(profile) => {
                                     *command = profile.acceleration_mps2(span_s[0], span_s[1], speeds_mps[run]);
                                 }
-                                ActiveDriver::Controller(controller) => match controller.decide(&seen) {
+                                VehicleController::Controller(controller) => match controller.decide(&seen) {
                                     Ok(answer_mps2) => *command = answer_mps2,
                                     Err(failure) => failed.push((run, failure)),
                                 },
@@ -121,26 +121,26 @@ macro_rules! define {
 with_controllers!(define);
 
 /// All of one kind, or everything back.
-fn sorted<'s, T>(
-    drivers: Vec<ActiveDriver<&'s LeadProfile>>,
-    is: impl Fn(&ActiveDriver<&'s LeadProfile>) -> bool,
-    take: impl Fn(ActiveDriver<&'s LeadProfile>) -> Option<T>,
-) -> Result<Vec<T>, Vec<ActiveDriver<&'s LeadProfile>>> {
+fn all_of_kind<'s, T>(
+    drivers: Vec<VehicleController<&'s LeadProfile>>,
+    is: impl Fn(&VehicleController<&'s LeadProfile>) -> bool,
+    take: impl Fn(VehicleController<&'s LeadProfile>) -> Option<T>,
+) -> Result<Vec<T>, Vec<VehicleController<&'s LeadProfile>>> {
     if drivers.iter().all(is) { Ok(drivers.into_iter().filter_map(take).collect()) } else { Err(drivers) }
 }
 
 impl Drivers<'_> {
     /// The commands of a step if every driver sees the truth.
-    pub(super) fn command_by_truth(
+    pub(super) fn command_from_true_state(
         &mut self,
         arch: Arch,
         span_s: [f64; 2],
-        view: &View<'_>,
+        view: &NeighbourhoodView<'_>,
         commands: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
         match self {
-            Self::Followers(followers) => followers.follow(arch, view, commands),
+            Self::Followers(followers) => followers.command(arch, view, commands),
             _ => self.command(
                 arch,
                 span_s,
@@ -154,10 +154,10 @@ impl Drivers<'_> {
     }
 
     /// The driver of run `run`, if it may have a shield.
-    pub(super) fn shielded(&self, run: usize) -> Option<&AnyController> {
+    pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
         match self {
             Self::Mixed(drivers) => match drivers.get(run) {
-                Some(ActiveDriver::Controller(controller)) => Some(controller),
+                Some(VehicleController::Controller(controller)) => Some(controller),
                 _ => None,
             },
             _ => None,

@@ -4,27 +4,27 @@ use pulp::Arch;
 
 use super::loops;
 use super::per_run::PerRun;
-use super::view::View;
+use super::view::NeighbourhoodView;
 use crate::control::Idm;
-use crate::policy::InSimd;
+use crate::policy::SimdClosure;
 
 /// One model a run, number by number: it is the car-following model of traffic, and so the driver there are most of.
 pub(super) struct Followers([PerRun; 5]);
 
 impl From<Vec<Idm>> for Followers {
     fn from(models: Vec<Idm>) -> Self {
-        Self(std::array::from_fn(|number| PerRun::of(models.iter().map(|model| model.numbers()[number]))))
+        Self(std::array::from_fn(|number| PerRun::from_values(models.iter().map(|model| model.to_array()[number]))))
     }
 }
 
 impl Followers {
     /// The model of one run.
     pub(super) fn model(&self, run: usize) -> Idm {
-        Idm::of_numbers(std::array::from_fn(|number| self.0[number][run]))
+        Idm::from_array(std::array::from_fn(|number| self.0[number][run]))
     }
 
     /// What everybody wants who sees the truth.
-    pub(super) fn follow(&self, arch: Arch, view: &View<'_>, decided_mps2: &mut [f64]) {
+    pub(super) fn command(&self, arch: Arch, view: &NeighbourhoodView<'_>, decided_mps2: &mut [f64]) {
         let own = [view.own.position_m, view.own.speed_mps];
         let Some(front) = &view.front else {
             for (run, (decided_mps2, &speed_mps)) in decided_mps2.iter_mut().zip(own[1]).enumerate() {
@@ -32,9 +32,9 @@ impl Followers {
             }
             return;
         };
-        let models = self.0.each_ref().map(PerRun::filled);
+        let models = self.0.each_ref().map(PerRun::padded);
         let ahead = [front.position_m, front.length_m, front.speed_mps];
-        arch.dispatch(InSimd(
+        arch.dispatch(SimdClosure(
             #[inline(always)]
             || loops::follow(models, own, ahead, decided_mps2),
         ));

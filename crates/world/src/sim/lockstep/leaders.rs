@@ -4,11 +4,11 @@ use pulp::Arch;
 
 use super::loops;
 use super::per_run::PerRun;
-use crate::policy::InSimd;
+use crate::policy::SimdClosure;
 use crate::scenario::LeadProfile;
 
 /// One script a run.
-pub(super) enum Leaders<'s> {
+pub(super) enum ScriptedLeaders<'s> {
     /// Everybody brakes at a constant rate from some time on, as leaders nearly always do: `[onset, rate]`.
     Brake([PerRun; 2]),
     Any(Vec<Script<'s>>),
@@ -17,31 +17,31 @@ pub(super) enum Leaders<'s> {
 /// A script with what it says until it changes, so that it is looked up as often as it changes and not at each step.
 pub(super) struct Script<'s> {
     profile: &'s LeadProfile,
-    held_mps2: f64,
+    cached_mps2: f64,
     /// Nothing is held any longer by a step that ends after that.
-    until_s: f64,
+    valid_until_s: f64,
 }
 
 impl<'s> Script<'s> {
     fn new(profile: &'s LeadProfile) -> Self {
-        Self { profile, held_mps2: 0.0, until_s: f64::NEG_INFINITY }
+        Self { profile, cached_mps2: 0.0, valid_until_s: f64::NEG_INFINITY }
     }
 
     #[inline(always)]
     fn acceleration_mps2(&mut self, span_s: [f64; 2], speed_mps: f64) -> f64 {
-        if span_s[1] <= self.until_s { self.held_mps2 } else { self.looked_up_mps2(span_s, speed_mps) }
+        if span_s[1] <= self.valid_until_s { self.cached_mps2 } else { self.look_up_mps2(span_s, speed_mps) }
     }
 
     #[inline(never)]
-    fn looked_up_mps2(&mut self, [from_s, to_s]: [f64; 2], speed_mps: f64) -> f64 {
-        if let Some(held) = self.profile.held_mps2(from_s) {
-            [self.held_mps2, self.until_s] = held;
+    fn look_up_mps2(&mut self, [from_s, to_s]: [f64; 2], speed_mps: f64) -> f64 {
+        if let Some(held) = self.profile.constant_acceleration_until(from_s) {
+            [self.cached_mps2, self.valid_until_s] = held;
         }
-        if to_s <= self.until_s { self.held_mps2 } else { self.profile.acceleration_mps2(from_s, to_s, speed_mps) }
+        if to_s <= self.valid_until_s { self.cached_mps2 } else { self.profile.acceleration_mps2(from_s, to_s, speed_mps) }
     }
 }
 
-impl<'s> Leaders<'s> {
+impl<'s> ScriptedLeaders<'s> {
     pub(super) fn new(profiles: Vec<&'s LeadProfile>) -> Self {
         let brakes: Option<Vec<[f64; 2]>> = profiles
             .iter()
@@ -51,17 +51,17 @@ impl<'s> Leaders<'s> {
             })
             .collect();
         match brakes {
-            Some(brakes) => Self::Brake([0, 1].map(|which| PerRun::of(brakes.iter().map(|brake| brake[which])))),
+            Some(brakes) => Self::Brake([0, 1].map(|which| PerRun::from_values(brakes.iter().map(|brake| brake[which])))),
             None => Self::Any(profiles.into_iter().map(Script::new).collect()),
         }
     }
 
     /// Accelerations to hold over a step.
-    pub(super) fn lead(&mut self, arch: Arch, [from_s, to_s]: [f64; 2], speeds_mps: &[f64], decided_mps2: &mut [f64]) {
+    pub(super) fn command(&mut self, arch: Arch, [from_s, to_s]: [f64; 2], speeds_mps: &[f64], decided_mps2: &mut [f64]) {
         match self {
             Self::Brake(brakes) => {
-                let [onset_s, rate_mps2] = brakes.each_ref().map(PerRun::filled);
-                arch.dispatch(InSimd(
+                let [onset_s, rate_mps2] = brakes.each_ref().map(PerRun::padded);
+                arch.dispatch(SimdClosure(
                     #[inline(always)]
                     || loops::brake([from_s, to_s], onset_s, rate_mps2, decided_mps2),
                 ));

@@ -4,10 +4,10 @@
 //! by itself and there is no sum over runs, so the width of the registers does not change a bit. All slices of a loop have
 //! one length. Slices are arguments, not fields, since only so does the compiler know that what is written is not what is read.
 
-use super::per_run::Runs;
-use crate::control::{Idm, within};
+use super::per_run::RunSet;
+use crate::control::{Idm, clamp_command};
 use crate::scenario::Brake;
-use crate::sim::actuator::unless_at_rest;
+use crate::sim::actuator::add_noise_unless_at_rest;
 use crate::sim::motion;
 use crate::sim::recorder::{hardest_brake_mps2, ttc_s};
 
@@ -17,7 +17,7 @@ pub(super) fn limit(decided_mps2: &mut [f64], max_brake_mps2: &[f64], max_accel_
     let n = decided_mps2.len();
     let (max_brake_mps2, max_accel_mps2) = (&max_brake_mps2[..n], &max_accel_mps2[..n]);
     for run in 0..n {
-        decided_mps2[run] = within(decided_mps2[run], max_brake_mps2[run], max_accel_mps2[run]);
+        decided_mps2[run] = clamp_command(decided_mps2[run], max_brake_mps2[run], max_accel_mps2[run]);
     }
 }
 
@@ -41,7 +41,7 @@ pub(super) fn follow(models: [&[f64]; 5], [x, v]: [&[f64]; 2], ahead: [&[f64]; 3
     let (x, v) = (&x[..n], &v[..n]);
     let (ahead_x, ahead_l, ahead_v) = (&ahead[0][..n], &ahead[1][..n], &ahead[2][..n]);
     for run in 0..n {
-        let model = Idm::of_numbers([m0[run], m1[run], m2[run], m3[run], m4[run]]);
+        let model = Idm::from_array([m0[run], m1[run], m2[run], m3[run], m4[run]]);
         let gap_m = ahead_x[run] - ahead_l[run] - x[run];
         decided_mps2[run] = model.acceleration_mps2(v[run], Some([gap_m, ahead_v[run]]));
     }
@@ -53,7 +53,7 @@ pub(super) fn disturb(decided_mps2: &mut [f64], noise_mps2: &[f64], speed_mps: &
     let n = decided_mps2.len();
     let (noise_mps2, speed_mps) = (&noise_mps2[..n], &speed_mps[..n]);
     for run in 0..n {
-        decided_mps2[run] = unless_at_rest(decided_mps2[run], noise_mps2[run], speed_mps[run]);
+        decided_mps2[run] = add_noise_unless_at_rest(decided_mps2[run], noise_mps2[run], speed_mps[run]);
     }
 }
 
@@ -69,7 +69,7 @@ pub(super) fn advance(dt_s: f64, [x, v, a]: [&[f64]; 3], next_x: &mut [f64], nex
 
 /// Takes in how hard vehicles brake.
 #[inline(always)]
-pub(super) fn note_braking(hardest_mps2: &mut [f64], a: &[f64]) {
+pub(super) fn update_max_brake(hardest_mps2: &mut [f64], a: &[f64]) {
     for (hardest_mps2, &a) in hardest_mps2.iter_mut().zip(a) {
         *hardest_mps2 = hardest_brake_mps2(*hardest_mps2, a);
     }
@@ -77,7 +77,7 @@ pub(super) fn note_braking(hardest_mps2: &mut [f64], a: &[f64]) {
 
 /// A vehicle and the one ahead of it, at one instant.
 #[derive(Clone, Copy)]
-pub(super) struct Pairs<'a> {
+pub(super) struct PairSlices<'a> {
     pub(super) front_m: &'a [f64],
     pub(super) front_length_m: &'a [f64],
     pub(super) rear_m: &'a [f64],
@@ -85,7 +85,7 @@ pub(super) struct Pairs<'a> {
     pub(super) rear_mps: &'a [f64],
 }
 
-impl<'a> Pairs<'a> {
+impl<'a> PairSlices<'a> {
     /// The first `n` of each.
     #[inline(always)]
     fn first(&self, n: usize) -> [&'a [f64]; 5] {
@@ -95,7 +95,7 @@ impl<'a> Pairs<'a> {
 
 /// The runs in which two vehicles may touch, or are closest, inside a step.
 #[inline(always)]
-pub(super) fn screen(dt_s: f64, now: Pairs<'_>, [next_front_mps, next_rear_mps]: [&[f64]; 2]) -> Runs {
+pub(super) fn screen(dt_s: f64, now: PairSlices<'_>, [next_front_mps, next_rear_mps]: [&[f64]; 2]) -> RunSet {
     let n = now.front_m.len();
     let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
     let (next_front_mps, next_rear_mps) = (&next_front_mps[..n], &next_rear_mps[..n]);
@@ -103,15 +103,15 @@ pub(super) fn screen(dt_s: f64, now: Pairs<'_>, [next_front_mps, next_rear_mps]:
     for run in 0..n {
         let gap_m = front_m[run] - length_m[run] - rear_m[run];
         let closing_mps = [rear_mps[run] - front_mps[run], next_rear_mps[run] - next_front_mps[run]];
-        let care = motion::needs_care(gap_m, [rear_mps[run], next_rear_mps[run]], closing_mps, dt_s);
+        let care = motion::needs_contact_check(gap_m, [rear_mps[run], next_rear_mps[run]], closing_mps, dt_s);
         found |= u64::from(care) << run;
     }
-    Runs(found)
+    RunSet(found)
 }
 
 /// Takes in gap and time to collision.
 #[inline(always)]
-pub(super) fn note_approach(now: Pairs<'_>, min_gap_m: &mut [f64], min_ttc_s: &mut [f64]) {
+pub(super) fn update_min_gap_and_ttc(now: PairSlices<'_>, min_gap_m: &mut [f64], min_ttc_s: &mut [f64]) {
     let n = min_gap_m.len();
     let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
     let min_ttc_s = &mut min_ttc_s[..n];

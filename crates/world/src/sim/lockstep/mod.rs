@@ -19,18 +19,18 @@ use std::cmp::Ordering;
 use pulp::Arch;
 use rayon::prelude::*;
 
-use self::block::Block;
-use self::per_run::Runs;
-use super::{ControllerKind, RecordingLevel, Run, Simulated, simulate};
+use self::block::LockstepBlock;
+use self::per_run::RunSet;
+use super::{ControllerKind, RecordingLevel, Run, SimulationResult, simulate};
 
 /// Most runs in a block: enough to fill vector registers and hide latencies, few enough to stay in the first-level cache.
-const MOST_RUNS: usize = Runs::MOST;
+const MAX_RUNS: usize = RunSet::CAPACITY;
 
 /// The same when traces are kept: each thread holds those of a whole block.
-const MOST_TRACED_RUNS: usize = 8;
+const MAX_TRACED_RUNS: usize = 8;
 
 /// Samples of a vehicle in all traces that a thread holds, unless a single run has more: 48 MB.
-const MOST_TRACED_SAMPLES: usize = 2_000_000;
+const MAX_TRACED_SAMPLES: usize = 2_000_000;
 
 /// Runs all of `runs` and hands each result to `reduce`, with the index of its run, as soon as it is there.
 ///
@@ -52,20 +52,20 @@ const MOST_TRACED_SAMPLES: usize = 2_000_000;
 pub fn simulate_batch<R: Send>(
     runs: &[Run],
     keep: RecordingLevel,
-    reduce: impl Fn(usize, Simulated) -> R + Sync,
+    reduce: impl Fn(usize, SimulationResult) -> R + Sync,
 ) -> Vec<R> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by(|&a, &b| compare_shapes(&runs[a], &runs[b]).then(a.cmp(&b)));
     let most = if keep == RecordingLevel::Trace {
         let largest = runs.iter().map(Run::vehicle_samples).max().unwrap_or(1);
-        (MOST_TRACED_SAMPLES / largest.max(1)).clamp(1, MOST_TRACED_RUNS)
+        (MAX_TRACED_SAMPLES / largest.max(1)).clamp(1, MAX_TRACED_RUNS)
     } else {
-        MOST_RUNS
+        MAX_RUNS
     };
     let blocks: Vec<&[usize]> = order
         .chunk_by(|&a, &b| compare_shapes(&runs[a], &runs[b]) == Ordering::Equal)
         .flat_map(|alike| {
-            let most = if alike.iter().all(|&run| runs[run].steps_together()) { most } else { 1 };
+            let most = if alike.iter().all(|&run| runs[run].supports_lockstep()) { most } else { 1 };
             alike.chunks(alike.len().div_ceil(rayon::current_num_threads()).min(most))
         })
         .collect();
@@ -75,7 +75,7 @@ pub fn simulate_batch<R: Send>(
             let mut done = Vec::with_capacity(members.len());
             let mut keep_result = |index, simulated| done.push((index, reduce(index, simulated)));
             if members.iter().all(|&run| runs[run].scenario().keeps_lanes()) {
-                Block::new(Arch::new(), runs, members, keep).run(&mut keep_result);
+                LockstepBlock::new(Arch::new(), runs, members, keep).run(&mut keep_result);
             } else {
                 // Who is ahead is one column for all runs of a block: where that changes, runs are made one by one.
                 members.iter().for_each(|&index| keep_result(index, simulate(&runs[index], keep)));
@@ -89,14 +89,14 @@ pub fn simulate_batch<R: Send>(
 
 /// Orders runs so that equal ones can share a block.
 fn compare_shapes(a: &Run, b: &Run) -> Ordering {
-    shape(a).cmp(&shape(b)).then_with(|| {
+    block_shape(a).cmp(&block_shape(b)).then_with(|| {
         let (a, b) = (a.scenario().vehicles(), b.scenario().vehicles());
         a.iter().map(|v| v.driver.name()).cmp(b.iter().map(|v| v.driver.name()))
     })
 }
 
 /// What runs of one block must have in common, apart from the kinds of drivers.
-fn shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
+fn block_shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
     let under_test = match &run.options().controller {
         ControllerKind::BuiltIn(spec) => spec.name(),
         ControllerKind::Policy(_) => "policy",
@@ -114,7 +114,7 @@ fn shape(run: &Run) -> (usize, bool, u64, u64, &'static str, &'static str) {
 mod tests {
     use super::*;
     use crate::control::ControllerSpec;
-    use crate::policy::every_path;
+    use crate::policy::available_archs;
     use crate::scenario::{Driver, PaperDistribution};
     use crate::sim::RunOptions;
 
@@ -128,7 +128,7 @@ mod tests {
             let runs: Vec<_> =
                 lines.iter().map(|line| Run::new(line, RunOptions::new(spec.clone())).unwrap()).collect();
             let members: Vec<usize> = (0..runs.len()).collect();
-            let results = every_path().into_iter().map(|path| {
+            let results = available_archs().into_iter().map(|path| {
                 let mut results = Vec::new();
                 Block::new(path, &runs, &members, RecordingLevel::Trace)
                     .run(&mut |index, result| results.push((index, result)));

@@ -3,7 +3,7 @@
 use std::ops::{Index, IndexMut};
 
 /// Doubles in the widest vector register there is.
-const WIDEST: usize = 8;
+const MAX_F64_LANES: usize = 8;
 
 /// One number for each run of a block, filled up to whole registers with leftovers, which loops may compute with as they
 /// please.
@@ -14,15 +14,15 @@ pub(super) struct PerRun {
 }
 
 impl PerRun {
-    pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Self {
+    pub(super) fn from_values(values: impl IntoIterator<Item = f64>) -> Self {
         let mut values: Vec<f64> = values.into_iter().collect();
         let runs = values.len();
-        values.resize(runs.next_multiple_of(WIDEST), 0.0);
+        values.resize(runs.next_multiple_of(MAX_F64_LANES), 0.0);
         Self { values, runs }
     }
 
-    pub(super) fn all(value: f64, runs: usize) -> Self {
-        Self { values: vec![value; runs.next_multiple_of(WIDEST)], runs }
+    pub(super) fn constant(value: f64, runs: usize) -> Self {
+        Self { values: vec![value; runs.next_multiple_of(MAX_F64_LANES)], runs }
     }
 
     pub(super) fn as_slice(&self) -> &[f64] {
@@ -34,12 +34,12 @@ impl PerRun {
     }
 
     /// With what it is filled up with.
-    pub(super) fn filled(&self) -> &[f64] {
+    pub(super) fn padded(&self) -> &[f64] {
         &self.values
     }
 
     /// With what it is filled up with.
-    pub(super) fn filled_mut(&mut self) -> &mut [f64] {
+    pub(super) fn padded_mut(&mut self) -> &mut [f64] {
         &mut self.values
     }
 
@@ -48,7 +48,7 @@ impl PerRun {
         let removed = self.values[run];
         self.runs -= 1;
         self.values[run] = self.values[self.runs];
-        self.values.truncate(self.runs.next_multiple_of(WIDEST));
+        self.values.truncate(self.runs.next_multiple_of(MAX_F64_LANES));
         removed
     }
 }
@@ -71,15 +71,15 @@ impl IndexMut<usize> for PerRun {
 
 /// A set of runs of one block, a bit a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Runs(pub(super) u64);
+pub(super) struct RunSet(pub(super) u64);
 
-impl Runs {
+impl RunSet {
     /// Most runs a set can hold.
-    pub(super) const MOST: usize = u64::BITS as usize;
+    pub(super) const CAPACITY: usize = u64::BITS as usize;
 
     /// The first `count` runs.
     pub(super) fn first(count: usize) -> Self {
-        Self(u64::MAX.unbounded_shr((Self::MOST - count.min(Self::MOST)) as u32))
+        Self(u64::MAX.unbounded_shr((Self::CAPACITY - count.min(Self::CAPACITY)) as u32))
     }
 
     pub(super) fn is_empty(self) -> bool {
@@ -94,11 +94,11 @@ impl Runs {
         self.0 >> run & 1 == 1
     }
 
-    pub(super) fn and(self, other: Self) -> Self {
+    pub(super) fn intersection(self, other: Self) -> Self {
         Self(self.0 & other.0)
     }
 
-    pub(super) fn without(self, other: Self) -> Self {
+    pub(super) fn difference(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
@@ -131,12 +131,12 @@ mod tests {
         /// Both behave as the plain containers they stand for.
         #[test]
         fn removing_by_swapping_is_that_of_a_list(
-            mut values in prop::collection::vec(-1.0..1.0f64, 1..=Runs::MOST),
+            mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::MOST),
             set in any::<u64>(),
             removals in prop::collection::vec(any::<prop::sample::Index>(), 0..70),
         ) {
             let mut per_run = PerRun::of(values.iter().copied());
-            let mut runs = Runs(set).and(Runs::first(values.len()));
+            let mut runs = RunSet(set).and(RunSet::first(values.len()));
             let mut members: Vec<bool> = (0..values.len()).map(|run| runs.iter().any(|member| member == run)).collect();
             for removal in removals {
                 if values.is_empty() {
@@ -147,7 +147,7 @@ mod tests {
                 members.swap_remove(run);
                 prop_assert_eq!(per_run.swap_remove(run), values.swap_remove(run));
                 prop_assert_eq!(per_run.as_slice(), values.as_slice());
-                prop_assert_eq!(per_run.filled().len(), values.len().next_multiple_of(WIDEST));
+                prop_assert_eq!(per_run.filled().len(), values.len().next_multiple_of(MAX_F64_LANES));
                 let expected: Vec<usize> = (0..members.len()).filter(|&run| members[run]).collect();
                 prop_assert_eq!(runs.iter().collect::<Vec<_>>(), expected);
             }

@@ -5,22 +5,22 @@ use crate::observation::{Neighbour, Observation};
 
 /// What others can see of one vehicle position, an entry a run.
 #[derive(Clone, Copy)]
-pub(super) struct Seen<'a> {
+pub(super) struct StateSlices<'a> {
     pub(super) position_m: &'a [f64],
     pub(super) length_m: &'a [f64],
     pub(super) speed_mps: &'a [f64],
     pub(super) acceleration_mps2: &'a [f64],
 }
 
-impl<'a> Seen<'a> {
+impl<'a> StateSlices<'a> {
     /// The first `runs` of position, length, speed and acceleration.
     #[inline(always)]
     pub(super) fn first(runs: usize, [x, l, v, a]: [&'a PerRun; 4]) -> Self {
         Self {
-            position_m: &x.filled()[..runs],
-            length_m: &l.filled()[..runs],
-            speed_mps: &v.filled()[..runs],
-            acceleration_mps2: &a.filled()[..runs],
+            position_m: &x.padded()[..runs],
+            length_m: &l.padded()[..runs],
+            speed_mps: &v.padded()[..runs],
+            acceleration_mps2: &a.padded()[..runs],
         }
     }
 
@@ -31,13 +31,13 @@ impl<'a> Seen<'a> {
 }
 
 /// A vehicle position and its neighbours.
-pub(super) struct View<'a> {
-    pub(super) own: Seen<'a>,
-    pub(super) front: Option<Seen<'a>>,
-    pub(super) behind: Option<Seen<'a>>,
+pub(super) struct NeighbourhoodView<'a> {
+    pub(super) own: StateSlices<'a>,
+    pub(super) front: Option<StateSlices<'a>>,
+    pub(super) behind: Option<StateSlices<'a>>,
 }
 
-impl View<'_> {
+impl NeighbourhoodView<'_> {
     /// The eight numbers in one run. Inlined, so that a driver pays only for those it looks at.
     #[inline(always)]
     pub(super) fn observation(&self, run: usize) -> Observation {

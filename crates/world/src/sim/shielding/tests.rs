@@ -27,7 +27,7 @@ impl FarAway {
     /// As it was found: contact at 15.04 s, at 1 mm/s, from inside the kernel, where the one ahead brakes from 6.78 s on and 1 m is to
     /// spare. What braking adds to the position in a step is not a whole number of spacings, so that rounding goes the same way in each of
     /// 40 000 steps.
-    fn reported(friction: f64, position_m: f64, classes: [VehicleClass; 2]) -> Self {
+    fn from_report(friction: f64, position_m: f64, classes: [VehicleClass; 2]) -> Self {
         Self {
             position_m,
             classes,
@@ -69,7 +69,7 @@ impl FarAway {
         Scenario::new(spec).unwrap()
     }
 
-    fn simulated(&self) -> Simulated {
+    fn simulate(&self) -> Simulated {
         let controller = Shielded { controller: self.driver.clone().into(), settings: ShieldSettings::default() };
         let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
         let options = options.with_dt_s(self.step_s / f64::from(self.substeps));
@@ -77,7 +77,7 @@ impl FarAway {
     }
 }
 
-fn keeps_clear(far: &FarAway) -> Result<(), TestCaseError> {
+fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
     let result = far.simulated();
     prop_assert_eq!(&result.outcome, &Outcome::NoCollision);
     prop_assert!(result.interventions.iter().all(|one| !one.outside_kernel), "{:?}", result.interventions);
@@ -117,7 +117,7 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
     assert!(refusal(3600.0).is_none());
     let Some(RunError::Shield { vehicle: 1, why }) = refusal(20_000.0) else { panic!("not refused") };
     let ShieldRefusal::Rounding { half_m, position_m, most_m } = why else { panic!("{why}") };
-    assert!(2.0 * half_m > most_m && most_m == MOST_MARGIN_M && position_m > 1e8, "{why}");
+    assert!(2.0 * half_m > most_m && most_m == MAX_MARGIN_M && position_m > 1e8, "{why}");
 }
 
 /// Positions, speeds and steps that the margin counts on are those of the run.

@@ -5,22 +5,22 @@
 
 use std::ops::ControlFlow;
 
-use super::super::motion::may_touch;
-use super::super::run::ActiveDriver;
+use super::super::motion::may_collide;
+use super::super::run::VehicleController;
 use super::super::{FailedController, Motion};
-use super::{Moment, Stepper, VehicleLoop};
+use super::{StepView, Stepper, VehicleLoop};
 use crate::control::Controller;
 use crate::estimate::TrueState;
 use crate::observation::{Neighbour, Observation};
 
 /// Why no more steps were made together.
-pub(super) enum Pause {
+pub(super) enum FallbackReason {
     /// None is to follow.
-    Over,
+    Finished,
     /// The next one needs care, and nobody has decided.
-    Undecided,
+    CommandsPending,
     /// The next one needs care, and everybody has decided.
-    Decided,
+    CommandsReady,
 }
 
 /// The bodies of a line in which everybody is and stays.
@@ -38,7 +38,7 @@ impl<const N: usize> ShortLine<N> {
 
     /// As of a [`Platoon`](super::Platoon) in whose lane everybody is.
     #[inline]
-    fn truth(&self, index: usize) -> TrueState {
+    fn true_state(&self, index: usize) -> TrueState {
         let own = self.motion[index];
         let neighbour = |other: Option<usize>, gap_m: Option<f64>| {
             let Motion { speed_mps, acceleration_mps2, .. } = *self.motion.get(other?)?;
@@ -57,7 +57,7 @@ impl<const N: usize> ShortLine<N> {
 
     /// Moves everybody by `dt_s`, unless they may touch.
     #[inline]
-    fn glide(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
+    fn advance_contact_free(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
         let mut now = self.motion;
         for (motion, acceleration_mps2) in now.iter_mut().zip(decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
@@ -68,7 +68,7 @@ impl<const N: usize> ShortLine<N> {
         }
         for rear in 1..N {
             let gap_m = now[rear - 1].position_m - self.length_m[rear - 1] - now[rear].position_m;
-            if may_touch(gap_m, [now[rear].speed_mps, end[rear].speed_mps], dt_s) {
+            if may_collide(gap_m, [now[rear].speed_mps, end[rear].speed_mps], dt_s) {
                 return false;
             }
         }
@@ -79,65 +79,65 @@ impl<const N: usize> ShortLine<N> {
 
 impl Stepper {
     /// As [`drive`](Self::drive) up to the `last` step where the line is of `N` vehicles, as long as nothing needs care.
-    pub(super) fn drive_line<const N: usize>(
+    pub(super) fn drive_short_line<const N: usize>(
         &mut self,
         index: usize,
         last: usize,
         command: &mut impl FnMut(&Observation) -> f64,
-        after: &mut impl FnMut(&Moment<'_>) -> ControlFlow<()>,
-    ) -> Pause {
-        let is_watched = self.trace.is_some() || !self.tallies.is_empty();
-        if is_watched || self.pace.substeps != 1 || !self.impacts.is_empty() || !self.platoon.lane.is_plain() {
-            return Pause::Undecided;
+        after: &mut impl FnMut(&StepView<'_>) -> ControlFlow<()>,
+    ) -> FallbackReason {
+        let is_watched = self.trace.is_some() || !self.extremes.is_empty();
+        if is_watched || self.time_grid.substeps != 1 || !self.impacts.is_empty() || !self.platoon.lane.is_constant() {
+            return FallbackReason::CommandsPending;
         }
-        let Some(mut line) = self.short_line::<N>() else { return Pause::Undecided };
-        let pace = self.pace;
+        let Some(mut line) = self.short_line::<N>() else { return FallbackReason::CommandsPending };
+        let pace = self.time_grid;
         let pause = loop {
             let span_s = self.span_s();
-            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else { break Pause::Undecided };
+            let Ok(loops) = <&mut [VehicleLoop; N]>::try_from(&mut *self.loops) else { break FallbackReason::CommandsPending };
             let mut decided_mps2 = [0.0; N];
             for (vehicle, (one, decided_mps2)) in loops.iter_mut().zip(&mut decided_mps2).enumerate() {
-                let VehicleLoop { driver, estimator, seen, command_mps2, .. } = one;
+                let VehicleLoop { driver, estimator, observation: seen, command_mps2, .. } = one;
                 // Filters take every measurement; who is driven by a script need not look at the truth.
                 if let (None, Some(estimator)) = (&seen, estimator) {
-                    *seen = Some(estimator.observe(&line.truth(vehicle)));
+                    *seen = Some(estimator.observe(&line.true_state(vehicle)));
                 }
                 let looked = seen.as_ref();
                 let has_looked = looked.is_some();
                 let look = || match looked {
                     Some(seen) => *seen,
-                    None => line.truth(vehicle).observation,
+                    None => line.true_state(vehicle).observation,
                 };
                 let speed_mps = line.motion[vehicle].speed_mps;
                 let decided = match (command_mps2.take(), driver) {
                     _ if vehicle == index => Ok(command(&look())),
                     (Some(command_mps2), _) => Ok(command_mps2),
-                    (None, ActiveDriver::Profile(profile)) => {
+                    (None, VehicleController::Profile(profile)) => {
                         Ok(profile.acceleration_mps2(span_s[0], span_s[1], speed_mps))
                     }
-                    (None, ActiveDriver::Controller(controller)) => controller.decide(&look()),
+                    (None, VehicleController::Controller(controller)) => controller.decide(&look()),
                 };
                 if has_looked {
                     *seen = None;
                 }
                 match decided {
-                    Ok(command_mps2) => *decided_mps2 = one.answer(command_mps2, speed_mps, false),
+                    Ok(command_mps2) => *decided_mps2 = one.actuate(command_mps2, speed_mps, false),
                     Err(failure) => {
                         let failed = FailedController { time_s: span_s[0], vehicle, failure };
                         self.failed.get_or_insert(failed);
                     }
                 }
             }
-            if self.failed.is_some() || !line.glide(decided_mps2, pace.dt_s) {
-                self.decided_mps2.copy_from_slice(&decided_mps2);
-                break Pause::Decided;
+            if self.failed.is_some() || !line.advance_contact_free(decided_mps2, pace.dt_s) {
+                self.next_acceleration_mps2.copy_from_slice(&decided_mps2);
+                break FallbackReason::CommandsReady;
             }
             self.step += 1;
             self.ended = self.step == pace.steps;
             let gap_m = line.gap_m(index);
-            let moment = Moment { motion: &line.motion, gap_m, has_touched: false, has_ended: self.ended };
+            let moment = StepView { motion: &line.motion, gap_m, has_collided: false, has_ended: self.ended };
             if after(&moment).is_break() || self.step == last || self.ended {
-                break Pause::Over;
+                break FallbackReason::Finished;
             }
         };
         self.platoon.motion.copy_from_slice(&line.motion);
@@ -162,18 +162,18 @@ mod tests {
     use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions};
 
     /// What a driver from outside wants: enough of what is seen that any difference shows, and a contact now and then.
-    fn wanted_mps2(seen: &Observation) -> f64 {
+    fn test_command_mps2(seen: &Observation) -> f64 {
         let ahead = seen.ahead.map_or(0.0, |ahead| 0.4 * (ahead.speed_mps - seen.speed_mps) + 0.02 * ahead.gap_m);
         ahead - 0.3 + seen.behind.map_or(0.0, |behind| 0.1 * behind.acceleration_mps2)
     }
 
     /// Every step as its moment has it, and the end; driven `together` steps at a time, or each step by itself.
-    fn driven(run: &Run, together: usize, keep: Option<RecordingLevel>) -> (Vec<(Vec<Motion>, String)>, String) {
+    fn drive_and_record(run: &Run, together: usize, keep: Option<RecordingLevel>) -> (Vec<(Vec<Motion>, String)>, String) {
         let index = 1.min(run.scenario().vehicles().len() - 1);
         let mut stepper = keep.map_or_else(|| Stepper::without_summaries(run), |keep| Stepper::new(run, keep));
         let mut moments = Vec::new();
-        let mut note = |now: &Moment<'_>| {
-            let Moment { motion, gap_m, has_touched, has_ended } = *now;
+        let mut note = |now: &StepView<'_>| {
+            let StepView { motion, gap_m, has_touched, has_ended } = *now;
             let touched = if has_touched { "touched" } else { "apart" };
             moments.push((motion.to_vec(), format!("{gap_m:?} {touched} {has_ended}")));
             if moments.len() % 37 == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -188,7 +188,7 @@ mod tests {
             }
             stepper.step();
             let motion = stepper.motion().to_vec();
-            let now = Moment {
+            let now = StepView {
                 motion: &motion,
                 gap_m: stepper.gap_m(index),
                 has_touched: stepper.has_touched(),

@@ -24,31 +24,31 @@ use record::{Found, RECORD, checksum_of, is_zero, record};
 pub(super) use record::{decode, encode};
 
 /// The identity of the work, in hexadecimal, and the end of its line.
-const HEADER: usize = 2 * 32 + 1;
+const HEADER_BYTES: usize = 2 * 32 + 1;
 
 pub(super) struct Journal {
     file: File,
     path: PathBuf,
     identity: String,
     /// Records of an earlier run, not yet used.
-    earlier: Option<BufReader<File>>,
+    previous_records: Option<BufReader<File>>,
     /// Records used or written so far.
-    records: u64,
+    record_count: u64,
     /// Of all bytes used or written so far.
     digest: Sha256,
     /// When records last reached the disk.
-    synced: Instant,
+    last_sync: Instant,
 }
 
 /// Between two times that records are made to reach the disk.
-const BETWEEN: Duration = Duration::from_secs(1);
+const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What is said of a journal whose first bytes are of something else.
-const OTHER_WORK: &str = "not of this campaign: it cannot go on; remove its folder, or use another --out";
+const OTHER_CAMPAIGN_MESSAGE: &str = "not of this campaign: it cannot go on; remove its folder, or use another --out";
 
 impl Journal {
     /// That of a work: an empty one, or the one of an earlier run.
-    pub(super) fn in_work(work: &Work, name: &str, resume: bool) -> Result<Self, WorkError> {
+    pub(super) fn open_in_folder(work: &Work, name: &str, resume: bool) -> Result<Self, WorkError> {
         let (path, identity) = (work.path(name), work.identity());
         if resume { Self::resume(&path, &identity) } else { Self::create(&path, &identity) }
     }
@@ -59,11 +59,11 @@ impl Journal {
         let mut file = File::create(path).map_err(unusable)?;
         file.write_all(header(identity).as_bytes()).map_err(unusable)?;
         file.sync_all().map_err(unusable)?;
-        disk::sync_names_beside(path)?;
+        disk::sync_parent_folder(path)?;
         Ok(Self::of(file, path, identity, None))
     }
 
-    fn of(file: File, path: &Path, identity: &str, earlier: Option<BufReader<File>>) -> Self {
+    fn new(file: File, path: &Path, identity: &str, earlier: Option<BufReader<File>>) -> Self {
         Self {
             file,
             path: path.to_owned(),
@@ -76,10 +76,10 @@ impl Journal {
     }
 
     /// Looks whether work with that identity could go on with a journal, and changes nothing.
-    pub(super) fn look(path: &Path, identity: &str) -> Result<(), WorkError> {
+    pub(super) fn verify(path: &Path, identity: &str) -> Result<(), WorkError> {
         let unusable = DiskError::at(path);
         let mut records = BufReader::new(File::open(path).map_err(unusable)?);
-        if !begins(&mut records, identity).map_err(unusable)?.ok_or_else(|| WorkError::damaged(path, OTHER_WORK))? {
+        if !begins(&mut records, identity).map_err(unusable)?.ok_or_else(|| WorkError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Ok(());
         }
         let mut index = 0;
@@ -100,7 +100,7 @@ impl Journal {
         let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path, identity) };
         let mut earlier = BufReader::new(File::open(path).map_err(unusable)?);
         let is_begun = begins(&mut earlier, identity).map_err(unusable)?;
-        if !is_begun.ok_or_else(|| WorkError::damaged(path, OTHER_WORK))? {
+        if !is_begun.ok_or_else(|| WorkError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Self::create(path, identity);
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
@@ -109,7 +109,7 @@ impl Journal {
     }
 
     /// The next verdict of an earlier run.
-    pub(super) fn next(&mut self) -> Result<Option<RunVerdict>, WorkError> {
+    pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, WorkError> {
         let Some(earlier) = &mut self.earlier else { return Ok(None) };
         let unusable = DiskError::at(&self.path);
         match record(earlier, &self.identity, self.records).map_err(unusable)?.at(&self.path, self.records)? {
@@ -130,7 +130,7 @@ impl Journal {
     }
 
     /// Of all records used or written so far.
-    fn bytes(&self) -> u64 {
+    fn length_bytes(&self) -> u64 {
         HEADER as u64 + RECORD as u64 * self.records
     }
 
@@ -156,7 +156,7 @@ impl Journal {
 
 /// At most so many verdicts of a journal that another process may be writing, after the first `known` of them; none if there is no
 /// journal. What is not yet there as a whole is left for later.
-pub(super) fn after(
+pub(super) fn read_verdicts_after(
     path: &Path,
     identity: &str,
     known: u64,
@@ -188,7 +188,7 @@ pub(super) fn after(
 
 /// Whether a journal begins as that of work with an identity does; none if it is another's. One whose header was cut short, or never
 /// reached the disk, holds nothing.
-fn begins(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
+fn has_header(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
     let mut found = [0; HEADER];
     match journal.read_exact(&mut found) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Some(false)),
@@ -200,7 +200,7 @@ fn begins(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
     Ok((found == header(identity).as_bytes()).then_some(true))
 }
 
-fn header(identity: &str) -> String {
+fn header_line(identity: &str) -> String {
     format!("{identity}\n")
 }
 
@@ -283,7 +283,7 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let expected = match (bit / 8).checked_sub(HEADER) {
-                None => OTHER_WORK.to_owned(),
+                None => OTHER_CAMPAIGN_MESSAGE.to_owned(),
                 Some(beyond) => format!("record {} is damaged", beyond / RECORD + 1),
             };
             assert!(first_damage(&bytes).unwrap().starts_with(&expected));

@@ -10,30 +10,30 @@ use crumple_world::scenario::VehicleClass;
 
 /// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
 /// class as bytes.
-pub(super) const BODY: usize = 3 * 8 + 2 * 4 + 2;
+pub(super) const BODY_BYTES: usize = 3 * 8 + 2 * 4 + 2;
 /// The first bytes of the SHA-256 of the work's identity and the record's number and body: a record in another's place is
 /// damage, too.
-pub(super) const CHECKSUM: usize = 6;
-pub(super) const RECORD: usize = BODY + CHECKSUM;
+pub(super) const CHECKSUM_BYTES: usize = 6;
+pub(super) const RECORD_BYTES: usize = BODY_BYTES + CHECKSUM_BYTES;
 /// In place of the braking where no vehicles touched.
 const NO_CONTACT: u8 = u8::MAX;
 /// In place of the braking where a controller failed; the vehicle that is hit is then its own.
 const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
 /// What is read where a record may be.
-pub(super) enum Found {
-    Record([u8; BODY], [u8; CHECKSUM]),
+pub(super) enum JournalEntry {
+    Record([u8; BODY_BYTES], [u8; CHECKSUM_BYTES]),
     /// The end, or a record that was cut short.
-    Cut,
+    Truncated,
     /// Nothing but zeros to the end: what a loss of power leaves.
     Zeros,
     /// Something else.
     Damaged,
 }
 
-impl Found {
+impl JournalEntry {
     /// What was found, unless it is damage.
-    pub(super) fn at(self, path: &Path, index: u64) -> Result<Self, WorkError> {
+    pub(super) fn reject_damage(self, path: &Path, index: u64) -> Result<Self, WorkError> {
         match self {
             Self::Damaged => Err(WorkError::damaged(
                 path,
@@ -49,23 +49,23 @@ impl Found {
 }
 
 /// The next record, or what is in its place.
-pub(super) fn record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<Found> {
-    let (mut body, mut checksum) = ([0; BODY], [0; CHECKSUM]);
+pub(super) fn read_record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<JournalEntry> {
+    let (mut body, mut checksum) = ([0; BODY_BYTES], [0; CHECKSUM_BYTES]);
     match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Found::Cut),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(JournalEntry::Cut),
         read => read?,
     }
     if checksum == checksum_of(identity, index, &body) {
-        Ok(Found::Record(body, checksum))
-    } else if body == [0; BODY] && checksum == [0; CHECKSUM] && is_zero(journal)? {
-        Ok(Found::Zeros)
+        Ok(JournalEntry::Record(body, checksum))
+    } else if body == [0; BODY_BYTES] && checksum == [0; CHECKSUM_BYTES] && is_zero(journal)? {
+        Ok(JournalEntry::Zeros)
     } else {
-        Ok(Found::Damaged)
+        Ok(JournalEntry::Damaged)
     }
 }
 
 /// Whether there is nothing but zeros to the end.
-pub(super) fn is_zero(rest: &mut impl Read) -> io::Result<bool> {
+pub(super) fn is_all_zero(rest: &mut impl Read) -> io::Result<bool> {
     let mut part = [0; 1 << 12];
     loop {
         match rest.read(&mut part)? {
@@ -77,15 +77,15 @@ pub(super) fn is_zero(rest: &mut impl Read) -> io::Result<bool> {
 }
 
 /// The checksum of a record of work with that identity.
-pub(super) fn checksum_of(identity: &str, index: u64, body: &[u8; BODY]) -> [u8; CHECKSUM] {
+pub(super) fn record_checksum(identity: &str, index: u64, body: &[u8; BODY_BYTES]) -> [u8; CHECKSUM_BYTES] {
     let digest = Sha256::default().with(identity).with(index.to_le_bytes()).with(body).finish();
-    let mut first = [0; CHECKSUM];
+    let mut first = [0; CHECKSUM_BYTES];
     first.iter_mut().zip(digest).for_each(|(place, byte)| *place = byte);
     first
 }
 
 /// The bytes of a verdict.
-pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
+pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BYTES] {
     let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
         (Some(contact), _) => {
             let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
@@ -95,7 +95,7 @@ pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
         (None, Some((time_s, vehicle))) => (time_s, 0.0, [vehicle, 0], CONTROLLER_FAILED, 0),
         (None, None) => (0.0, 0.0, [0, 0], NO_CONTACT, 0),
     };
-    let mut record = [0; BODY];
+    let mut record = [0; BODY_BYTES];
     let doubles = [verdict.robustness, time_s, impact_speed_mps].map(f64::to_le_bytes);
     let vehicles = vehicles.map(u32::to_le_bytes);
     let bytes = doubles.concat().into_iter().chain(vehicles.concat()).chain([kind, class]);
@@ -104,7 +104,7 @@ pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY] {
 }
 
 /// The verdict that bytes say.
-pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY]) -> RunVerdict {
+pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerdict {
     let double = |index: usize| {
         let bytes = record.get(8 * index..8 * index + 8).and_then(|bytes| bytes.try_into().ok());
         f64::from_le_bytes(bytes.unwrap_or_default())

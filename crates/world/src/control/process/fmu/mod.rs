@@ -3,21 +3,21 @@
 #[cfg(feature = "process")]
 mod units;
 #[cfg(feature = "process")]
-mod wired;
+mod setup;
 
 use std::collections::BTreeMap;
 
-use crate::control::{Input, InvalidMapping, Output};
+use crate::control::{InputMapping, InvalidMapping, OutputMapping};
 #[cfg(feature = "process")]
-pub use wired::fmu_host;
+pub use setup::find_fmu_host;
 
 /// What a controller file may say of an FMU, by default nothing.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Wiring {
+pub struct FmuConfig {
     /// What is seen; each input of the FMU by its name, if nothing is said.
-    pub inputs: Option<Vec<Input>>,
+    pub inputs: Option<Vec<InputMapping>>,
     /// What its answer means.
-    pub output: Option<Output>,
+    pub output: Option<OutputMapping>,
     /// What its parameters begin with; Booleans are 0 or 1.
     pub parameters: BTreeMap<String, f64>,
     /// Time between decisions, and of its steps, in seconds; at each step of the scenario, if nothing is said.
@@ -37,10 +37,10 @@ pub enum FmuProblem {
         "needs the program `crumple-fmu`, which is installed with crumple and was found neither beside it nor on the path; \
          the variable CRUMPLE_FMU may say where it is"
     )]
-    NoHost,
+    MissingHost,
     /// A process has to run it.
     #[error("FMUs need a build with the feature `process`")]
-    NoProcesses,
+    ProcessFeatureDisabled,
     /// What does not fit it.
     #[error(transparent)]
     Mapping(#[from] InvalidMapping),
@@ -48,7 +48,7 @@ pub enum FmuProblem {
 
 #[cfg(not(feature = "process"))]
 impl super::ProcessSetup {
-    pub(crate) fn of_fmu(_: &std::path::Path, _: &str, _: Wiring) -> Result<Self, FmuProblem> {
+    pub(crate) fn from_fmu(_: &std::path::Path, _: &str, _: FmuConfig) -> Result<Self, FmuProblem> {
         Err(FmuProblem::NoProcesses)
     }
 }

@@ -3,15 +3,15 @@
 //! Each number of a controller file is in SI units. The conversion is composed with the scale and offset of an input or output, so
 //! that the process receives and answers in the FMU's units.
 
-use crumple_fmu::{Conversion, Dimension, Variable};
+use crumple_fmu::{Conversion, UnitDimension, Variable};
 
-use crate::control::{Input, Output, Quantity};
+use crate::control::{InputMapping, OutputMapping, Quantity};
 
 /// Returns an input whose values are in the unit of its variable.
 ///
 /// # Errors
 /// The problem, with the unit's name, for a unit without a definition, of another dimension, or to which `scale` already converts.
-pub(super) fn converted_input(input: Input, variable: &Variable) -> Result<Input, String> {
+pub(super) fn convert_input(input: InputMapping, variable: &Variable) -> Result<InputMapping, String> {
     let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(input) };
     if let Some(quantity) = input.quantity {
         check_dimension(variable, dimension, dimension_of(quantity), quantity.name(), ("scale", input.scale))?;
@@ -23,28 +23,28 @@ pub(super) fn converted_input(input: Input, variable: &Variable) -> Result<Input
     let [low, high] = [input.low, input.high].map(|limit| (limit - offset) / factor);
     // A negative factor turns the limits around.
     let (low, high) = if factor < 0.0 { (high, low) } else { (low, high) };
-    let scaled = Input { offset: input.offset + input.scale * offset, scale: input.scale * factor, ..input };
-    Ok(Input { low, high, ..scaled })
+    let scaled = InputMapping { offset: input.offset + input.scale * offset, scale: input.scale * factor, ..input };
+    Ok(InputMapping { low, high, ..scaled })
 }
 
 /// Returns an output that takes answers in the unit of its variable.
 ///
 /// # Errors
 /// The problem, with the unit's name, as for [`converted_input`].
-pub(super) fn converted_output(output: Output, variable: &Variable) -> Result<Output, String> {
+pub(super) fn convert_output(output: OutputMapping, variable: &Variable) -> Result<OutputMapping, String> {
     let Some(Conversion { dimension, factor, offset }) = conversion_of(variable)? else { return Ok(output) };
     let scale = ("scale_mps2", output.scale_mps2);
     if output.squash.is_none() {
-        check_dimension(variable, dimension, Dimension::motion(1, -2), "the answer", scale)?;
+        check_dimension(variable, dimension, UnitDimension::metres_seconds(1, -2), "the answer", scale)?;
     }
     if (factor, offset) == (1.0, 0.0) {
         return Ok(output);
     }
     if output.squash.is_some() {
-        return Err(format!("{}, and `squash` is for answers without a unit to convert", stated(variable)));
+        return Err(format!("{}, and `squash` is for answers without a unit to convert", variable_with_unit(variable)));
     }
     check_scale(variable, dimension, scale)?;
-    Ok(Output {
+    Ok(OutputMapping {
         scale_mps2: output.scale_mps2 * factor,
         offset_mps2: output.offset_mps2 + output.scale_mps2 * offset,
         ..output
@@ -55,7 +55,7 @@ pub(super) fn converted_output(output: Output, variable: &Variable) -> Result<Ou
 ///
 /// # Errors
 /// The problem, with the unit's name, for a unit without a definition.
-pub(super) fn converted_parameter(value: f64, variable: &Variable) -> Result<f64, String> {
+pub(super) fn convert_parameter(value: f64, variable: &Variable) -> Result<f64, String> {
     Ok(conversion_of(variable)?.map_or(value, |conversion| conversion.from_si(value)))
 }
 
@@ -66,7 +66,7 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
         Some(unit) => unit.conversion.map(Some).ok_or_else(|| {
             format!(
                 "{}, which the FMU does not define (no `BaseUnit` in its modelDescription.xml), so that values cannot be converted to it",
-                stated(variable)
+                variable_with_unit(variable)
             )
         }),
     }
@@ -75,46 +75,46 @@ fn conversion_of(variable: &Variable) -> Result<Option<Conversion>, String> {
 /// Checks that a unit measures what it is used for. A plain number may stand for anything that a scale other than 1 turns into it.
 fn check_dimension(
     variable: &Variable,
-    unit: Dimension,
-    wanted: Dimension,
+    unit: UnitDimension,
+    wanted: UnitDimension,
     what: &str,
     (field, scale): (&str, f64),
 ) -> Result<(), String> {
-    if unit == wanted || (unit == Dimension::NONE && scale != 1.0) {
+    if unit == wanted || (unit == UnitDimension::NONE && scale != 1.0) {
         return Ok(());
     }
-    let hint = if unit == Dimension::NONE {
+    let hint = if unit == UnitDimension::NONE {
         format!("a plain number needs a `{field}`")
     } else {
         "choose another variable, or correct its unit in modelDescription.xml".to_owned()
     };
-    Err(format!("{} ({unit} in SI units), and {what} is in {wanted}; {hint}", stated(variable)))
+    Err(format!("{} ({unit} in SI units), and {what} is in {wanted}; {hint}", variable_with_unit(variable)))
 }
 
 /// Checks that a scale does not convert to a unit a second time.
-fn check_scale(variable: &Variable, unit: Dimension, (field, scale): (&str, f64)) -> Result<(), String> {
-    if unit == Dimension::NONE || scale.abs() == 1.0 {
+fn check_scale(variable: &Variable, unit: UnitDimension, (field, scale): (&str, f64)) -> Result<(), String> {
+    if unit == UnitDimension::NONE || scale.abs() == 1.0 {
         return Ok(());
     }
     Err(format!(
         "{}, and crumple converts between it and SI units: `{field}` must be 1 or -1, found {scale}",
-        stated(variable)
+        variable_with_unit(variable)
     ))
 }
 
 /// Returns the beginning of each problem: the variable and its unit.
-fn stated(variable: &Variable) -> String {
+fn variable_with_unit(variable: &Variable) -> String {
     let unit = variable.unit.as_ref().map_or("", |unit| unit.name.as_str());
     format!("the FMU's `{}` has the unit `{unit}`", variable.name)
 }
 
 /// Returns the dimension of a quantity by the end of its name.
-fn dimension_of(quantity: Quantity) -> Dimension {
+fn dimension_of(quantity: Quantity) -> UnitDimension {
     match quantity.name().rsplit('_').next() {
-        Some("m") => Dimension::motion(1, 0),
-        Some("s") => Dimension::motion(0, 1),
-        Some("mps") => Dimension::motion(1, -1),
-        Some("mps2") => Dimension::motion(1, -2),
-        _ => Dimension::NONE,
+        Some("m") => UnitDimension::metres_seconds(1, 0),
+        Some("s") => UnitDimension::metres_seconds(0, 1),
+        Some("mps") => UnitDimension::metres_seconds(1, -1),
+        Some("mps2") => UnitDimension::metres_seconds(1, -2),
+        _ => UnitDimension::NONE,
     }
 }

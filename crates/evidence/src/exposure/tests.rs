@@ -1,0 +1,239 @@
+use super::*;
+use crate::fit::refitted;
+use crate::rare::Level;
+use crumple_world::random::{Purpose, Stream, stream};
+use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, file};
+use rand::RngExt;
+use rand_distr::{Distribution, Exp};
+use std::path::Path;
+
+/// Traffic of which everything is known: a gap ahead, log-normal, and a deceleration that depends on it; a failure is a gap that is small
+/// for the deceleration.
+const TRAFFIC: &str = r#"
+version = 1
+name = "synthetic"
+base = "paper-1"
+[[parameters]]
+name = "gap_m"
+field = "vehicles[1].gap_m"
+unit = "m"
+distribution.log-normal = { ln_mean = 3.0, ln_deviation = 0.5, low = 1.0, high = 200.0 }
+[[parameters]]
+name = "rate"
+field = "vehicles[0].driver.brake.rate_mps2"
+unit = "m/s²"
+distribution.gamma = { shape = 6.0, scale = 0.6, low = 0.1, high = 7.5 }
+[dependence.gaussian-copula]
+parameters = ["gap_m", "rate"]
+correlation = [[1.0, -0.4], [-0.4, 1.0]]
+"#;
+
+fn traffic() -> Space {
+    file::from_toml(TRAFFIC, Path::new("synthetic.toml")).unwrap()
+}
+
+fn fails(values: &[f64]) -> bool {
+    values[0] < 2.2 * values[1]
+}
+
+/// Failures among draws of a space.
+fn failures(space: &Space, seed: u64, runs: u64) -> Result<u64, std::convert::Infallible> {
+    Ok((0..runs).filter(|&index| fails(&space.values(&space.draw_point(seed, index)))).count() as u64)
+}
+
+/// What somebody sees who drives along for so many hours in traffic with so many episodes an hour, and the space fitted to it.
+fn observe_traffic(truth: &Space, hours: f64, an_hour: f64, random: &mut Stream) -> Space {
+    let waiting = Exp::new(an_hour).unwrap();
+    let (mut at_hours, mut columns): (f64, [Vec<f64>; 2]) = (waiting.sample(random), Default::default());
+    while at_hours < hours {
+        let uniform = [random.random(), random.random()];
+        let values = truth.values(&truth.quantile(&uniform));
+        columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+        at_hours += waiting.sample(random);
+    }
+    let mut spec = truth.spec().clone();
+    let episodes = columns[0].len();
+    let (kilometres, sources) = (70.0 * hours, Vec::new());
+    spec.exposure = Some(Exposure { episodes: episodes as u64, hours, kilometres, left_out: 0, sources });
+    let parameters = truth.parameters().iter().zip(columns).map(|(parameter, values)| ObservedParameter {
+        name: parameter.name().to_owned(),
+        low: parameter.range()[0],
+        high: parameter.range()[1],
+        point_mass: None,
+        values,
+    });
+    let observed = Observed { waves: (0..episodes as u32).collect(), parameters: parameters.collect() };
+    spec.observed = Some(observed.clone());
+    refitted(&spec, &observed).unwrap()
+}
+
+/// How many of so many trials hold the true rate per hour: with the data's uncertainty, and without.
+fn coverage(trials: u64, hours: f64) -> [u64; 2] {
+    const AN_HOUR: f64 = 12.0;
+    let truth = traffic();
+    let probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
+    let mut held = [0; 2];
+    for trial in 0..trials {
+        let space = seen(&truth, hours, AN_HOUR, &mut stream(trial, Purpose::Search, 77));
+        let runs = 2000;
+        let known = FailureProbability::Counted { failures: failures(&space, trial, runs).unwrap(), unknown: 0, runs };
+        let resamples = run_again(&space, trial, 100, 200, &mut failures).unwrap().unwrap();
+        let rate = ExposedRate::of(&space, known, Ok(&resamples)).unwrap();
+        let holds = |figure: Figure| u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)));
+        held[0] += holds(rate.with_data.unwrap().figures.per_hour);
+        held[1] += holds(rate.fitted.per_hour);
+    }
+    println!("{hours} h, failures {probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour");
+    held
+}
+
+/// Both intervals are joint ones and rather too long; fewer than 34 of 40 would come by chance once in 50 times at 95 %.
+#[test]
+fn rates_per_hour_of_synthetic_traffic_are_held() {
+    let [with_data, _] = coverage(40, 8.0);
+    assert!(with_data >= 36, "{with_data}");
+}
+
+/// The large one, of which docs/fitting.md has the figures.
+#[test]
+#[ignore = "takes minutes"]
+fn coverage_at_several_exposures() {
+    for hours in [3.0, 8.0, 25.0] {
+        coverage(500, hours);
+    }
+}
+
+#[test]
+fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_counting() {
+    let truth = traffic();
+    let known = FailureProbability::Counted { failures: 3, unknown: 0, runs: 1000 };
+    let none = Err(&ResamplingError::NotAsked);
+    assert_eq!(ExposedRate::of(&truth, known, none), None);
+    let mut spec = truth.spec().clone();
+    spec.exposure = Some(exposure_for(2.0, 0));
+    let space = Space::new(spec, Path::new("")).unwrap();
+    assert_eq!(run_again(&space, 0, 79, 10, &mut failures).unwrap(), Err(ResamplingError::NoData));
+    let rate = ExposedRate::of(&space, known, none).unwrap();
+    assert_eq!((rate.waves, rate.with_data), (50, None));
+    let Figures { per_episode, per_hour, per_1000_km } = rate.fitted;
+    assert!((per_hour.estimate - 0.075).abs() < 1e-12 && (per_1000_km.estimate - 1.5).abs() < 1e-12);
+    // Jointly longer than either alone.
+    assert!(per_hour.upper / per_hour.estimate > per_episode.upper / per_episode.estimate);
+    assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
+}
+
+fn exposure_for(hours: f64, left_out: u64) -> Exposure {
+    Exposure { episodes: 50, hours, kilometres: 100.0, left_out, sources: Vec::new() }
+}
+
+/// Half of the brakings cannot be used, and the hours are the same: the rate per hour must not be half as high.
+#[test]
+fn brakings_that_were_left_out_count_in_rates_per_hour() {
+    let known = FailureProbability::Counted { failures: 30, unknown: 0, runs: 1000 };
+    let rate = |left_out: u64| {
+        let mut spec = traffic().spec().clone();
+        spec.exposure = Some(exposure_for(2.0, left_out));
+        let space = Space::new(spec, Path::new("")).unwrap();
+        ExposedRate::of(&space, known, Err(&ResamplingError::NotAsked)).unwrap()
+    };
+    let (all, half) = (rate(0), rate(50));
+    assert_eq!((all.left_out, half.left_out, half.fitted.per_episode), (0, 50, all.fitted.per_episode));
+    let of = |figure: Figure| [figure.estimate, figure.lower, figure.upper];
+    for (one, two) in [(all.fitted.per_hour, half.fitted.per_hour), (all.fitted.per_1000_km, half.fitted.per_1000_km)] {
+        assert!(of(one).iter().zip(of(two)).all(|(one, two)| (2.0 * one - two).abs() < 1e-12), "{one:?} {two:?}");
+    }
+}
+
+/// Where no run fails or every one does, repetitions agree and have no spread; the draws that they began with bound the rate.
+#[test]
+fn estimates_without_a_spread_still_bound_the_rate() {
+    let mut spec = traffic().spec().clone();
+    spec.exposure = Some(exposure_for(2.0, 0));
+    let space = Space::new(spec, Path::new("")).unwrap();
+    let rate = |probability: Option<f64>, independent: (u64, u64)| {
+        let (independent_failures, independent_runs) = independent;
+        let estimate = Estimate {
+            probability,
+            coefficient_of_variation: probability.filter(|found| *found > 0.0).map(|_| 0.0),
+            interval_95: None,
+            repetitions: vec![probability.unwrap_or(0.0); 5],
+            evaluations: independent_runs,
+            independent_runs,
+            independent_failures,
+            levels: Vec::new(),
+            largest_weight: None,
+        };
+        ExposedRate::of(&space, FailureProbability::Estimated(&estimate), Err(&ResamplingError::NotAsked))
+    };
+    for nothing in [rate(None, (0, 500)), rate(Some(0.0), (0, 500))] {
+        let Figures { per_episode, per_hour, .. } = nothing.expect("an upper end is known").fitted;
+        assert_eq!((per_episode.estimate, per_episode.lower, per_hour.estimate), (0.0, 0.0, 0.0));
+        assert!((per_episode.upper - (1.0 - 0.025_f64.powf(1.0 / 500.0))).abs() < 1e-9, "{per_episode:?}");
+        // 50 episodes in 2 h, of which there may have been up to 69 where 50 were seen, each with a probability of up to 0.9 %.
+        assert!((0.2..0.35).contains(&per_hour.upper), "{per_hour:?}");
+    }
+    let all = rate(Some(1.0), (500, 500)).expect("a lower end is known").fitted;
+    assert_eq!((all.per_episode.estimate, all.per_episode.upper), (1.0, 1.0));
+    assert!((all.per_episode.lower - 0.025_f64.powf(1.0 / 500.0)).abs() < 1e-9, "{all:?}");
+    assert_eq!(rate(None, (0, 0)), None);
+}
+
+/// The k-th of n sorted values has k / (n + 1) of what is drawn from the same below it: of 79 the first and the last leave 1.25 % at each end.
+#[test]
+fn percentiles_of_few_resamples_are_not_stated() {
+    let resamples = |count: u32| {
+        let values: Vec<f64> = (1..=count).map(f64::from).collect();
+        Resamples { spread: [values.clone(), values], unfit: 0, runs_each: None, variance: 0.0 }
+    };
+    assert_eq!(resamples(78).between(0.975), None);
+    assert_eq!(resamples(79).between(0.975), Some([1.0, 79.0]));
+    assert_eq!(resamples(79).between(0.95), Some([2.0, 78.0]));
+    assert_eq!(resamples(159).between(0.975), Some([2.0, 158.0]));
+    assert_eq!(resamples(200).between(0.95), Some([5.0, 196.0]));
+    let space = seen(&traffic(), 8.0, 12.0, &mut stream(3, Purpose::Search, 77));
+    let few = run_again(&space, 0, 78, 10, &mut failures).unwrap();
+    assert_eq!(few, Err(ResamplingError::TooFew { asked: 78 }));
+    // What was changed after it was fitted is not what resamples would be.
+    let mut spec = space.spec().clone();
+    spec.parameters[0].distribution = traffic().spec().parameters[0].distribution.clone();
+    let changed = Space::new(spec, Path::new("")).unwrap();
+    let refused = run_again(&changed, 0, 79, 10, &mut failures).unwrap();
+    assert_eq!(refused, Err(ResamplingError::Edited { what: "`gap_m`".to_owned() }));
+}
+
+/// Estimates spread as counts do; where none reaches a failure, the interval ends where the climb did.
+#[test]
+fn estimates_in_resamples_agree_with_new_runs() {
+    let truth = traffic();
+    let space = seen(&truth, 20.0, 12.0, &mut stream(3, Purpose::Search, 77));
+    let estimate = |probability: Option<f64>| Estimate {
+        probability,
+        coefficient_of_variation: probability.map(|_| 1e-6),
+        interval_95: None,
+        repetitions: Vec::new(),
+        evaluations: 0,
+        independent_runs: 500,
+        independent_failures: 0,
+        levels: vec![Level {
+            margin: 1.0,
+            smallest_gap_m: None,
+            probability: 1e-3,
+            share: 0.1,
+            step: None,
+            acceptance: None,
+        }],
+        largest_weight: None,
+    };
+    let share = |space: &Space, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
+    let climbed = estimate_again(&space, 9, 80, &mut |space: &Space, seed| Ok(estimate(Some(share(space, seed)?))));
+    let climbed: Result<_, std::convert::Infallible> = climbed;
+    let (climbed, counted) =
+        (climbed.unwrap().unwrap(), run_again(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
+    for (a, b) in climbed.spread[0].iter().zip(&counted.spread[0]) {
+        assert!((a - b).abs() < 0.03, "{a} {b}");
+    }
+    let ratio = climbed.variance / counted.variance;
+    assert!((0.7..1.4).contains(&ratio), "{ratio}");
+    let none = estimate_again(&space, 9, 80, &mut |_: &Space, _| Ok::<_, std::convert::Infallible>(estimate(None)));
+    assert_eq!(none.unwrap().unwrap().between(0.95), Some([0.0, 1e-3]));
+}

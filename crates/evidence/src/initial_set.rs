@@ -1,0 +1,182 @@
+//! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
+
+use crumple_verify::Interval;
+use crumple_verify::reach::{AccAeb, Idm, Law, Ranges};
+
+use super::reach::{BoxSpec, InvalidBox, RangesSpec};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, VehicleSpec};
+
+/// The field of a box that lets the leader brake as it likes.
+const LEADER_LIMIT_FIELD: &str = "leader_brakes_at_most_mps2";
+/// The field of a box that says who drives behind.
+const FOLLOWER_FIELD: &str = "follower_drives";
+
+/// A scenario with ranges in place of some of its numbers, as the checker knows it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct InitialSet {
+    pub(super) step_s: f64,
+    pub(super) steps: u32,
+    pub(super) follower_ttc_s: Option<f64>,
+    pub(super) follower_law: Option<Law>,
+    /// Within which limit the leader brakes as it likes; then the ranges say 0 of its rate and onset.
+    pub(super) leader_brakes_at_most_mps2: Option<f64>,
+    pub(super) ranges: Ranges,
+    /// What the vehicle under test can do: hardest braking, negative, and acceleration, in m/s².
+    accel_limits_mps2: [f64; 2],
+}
+
+impl InitialSet {
+    /// The starts of a box around a scenario.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the scenario has more to it than the checker knows of.
+    pub(super) fn new(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        if let Some(limit_mps2) = spec.leader_brakes_at_most_mps2 {
+            check_leader_limit(limit_mps2, scenario.usable_brake_mps2(0), &spec.ranges)?;
+        }
+        Self::from_valid_limit(scenario, spec)
+    }
+
+    fn from_valid_limit(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
+        let wrong = |why: &str| InvalidBox::field("scenario", why);
+        let vehicles = scenario.vehicles();
+        let [leader, ego, rest @ ..] = vehicles else { return Err(wrong("has too few vehicles")) };
+        let led = spec.leader_brakes_at_most_mps2;
+        let script = match (&leader.driver, led) {
+            (Driver::Profile(LeadProfile::Brake(brake)), None) => Some(brake),
+            (_, None) => return Err(wrong("the leader must brake at a constant rate")),
+            (Driver::Profile(_), Some(_)) => None,
+            (_, Some(_)) => return Err(wrong("the leader must be scripted")),
+        };
+        let is_plain = vehicles.iter().all(|v| {
+            v.acceleration_noise_mps2 == 0.0
+                && v.reaction_delay_s == 0.0
+                && v.actuator_lag_s == 0.0
+                && v.actuator_delay_s == 0.0
+                && v.jerk_limit_mps3.is_none()
+                && v.keeps_lane()
+        });
+        if ego.driver != Driver::UnderTest || !is_plain {
+            return Err(wrong(
+                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, and all must \
+                 stay in the lane",
+            ));
+        }
+        let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
+            ([], None) => (None, None),
+            ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning where nobody is behind")),
+            ([follower], in_place) => of_follower(follower, in_place.as_ref())?,
+            _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
+        };
+        let step_s = scenario.spec().step_s;
+        let or = |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
+        let behind = |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
+        let given = &spec.ranges;
+        let of_script =
+            |range, value: fn(&Brake) -> f64| script.map_or(Interval::ZERO, |brake| or(range, value(brake)));
+        let onset_s = of_script(given.onset_s, |brake| brake.onset_s);
+        let ranges = Ranges {
+            gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
+            gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
+            leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
+            ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
+            follower_speed_mps: behind(given.follower_speed_mps, |v| v.speed_mps),
+            leader_brake_mps2: of_script(given.leader_brake_mps2, |brake| brake.rate_mps2),
+            follower_brake_mps2: or(
+                given.follower_brake_mps2,
+                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
+            ),
+            onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
+                .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
+        };
+        if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
+            return Err(InvalidBox::field("ranges.leader_brake_mps2", "is harder than the leader can brake"));
+        }
+        let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
+        Ok(Self {
+            step_s,
+            steps: scenario.steps() as u32,
+            follower_ttc_s,
+            follower_law,
+            leader_brakes_at_most_mps2: led,
+            ranges,
+            able_mps2,
+        })
+    }
+
+    /// Returns the one start of a scenario, with its leader's script, or without it as one of those that brake as they like within a limit.
+    ///
+    /// # Errors
+    /// [`InvalidBox`], likewise.
+    pub(super) fn from_scenario(
+        scenario: &Scenario,
+        leader_brakes_at_most_mps2: Option<f64>,
+    ) -> Result<Self, InvalidBox> {
+        let point = BoxSpec::around(&scenario.spec().name, RangesSpec::default());
+        Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
+    }
+
+    /// What the vehicle under test can do, in m/s².
+    pub(super) fn accel_limits_mps2(&self) -> [f64; 2] {
+        self.able_mps2
+    }
+
+    /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
+    pub(super) fn can_execute(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
+        low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]
+    }
+}
+
+/// How a follower drives, in place of what the scenario says if that is given: θ of its latched emergency brake, or a law.
+fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(Option<f64>, Option<Law>), InvalidBox> {
+    let max_accel_mps2 = follower.max_accel_mps2();
+    let law = match in_place.unwrap_or(&follower.driver) {
+        Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
+        Driver::Controller(ControllerSpec::Idm(idm)) => Law::Idm(Idm {
+            desired_speed_mps: idm.desired_speed_mps,
+            time_headway_s: idm.time_headway_s,
+            standstill_gap_m: idm.standstill_gap_m,
+            accel_mps2: idm.accel_mps2,
+            comfortable_brake_mps2: idm.comfortable_brake_mps2,
+            max_accel_mps2,
+        }),
+        Driver::Controller(ControllerSpec::AccAeb(acc)) => Law::AccAeb(AccAeb {
+            ttc_s: acc.ttc_s,
+            time_headway_s: acc.time_headway_s,
+            standstill_gap_m: acc.standstill_gap_m,
+            gap_gain_per_s2: acc.gap_gain_per_s2,
+            speed_gain_per_s: acc.speed_gain_per_s,
+            comfort_brake_mps2: acc.comfort_brake_mps2,
+            comfort_accel_mps2: acc.comfort_accel_mps2,
+            max_accel_mps2,
+        }),
+        other => {
+            let problem = format!("must drive with baseline, idm or acc-aeb, found {}", other.name());
+            return Err(match in_place {
+                Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
+                None => InvalidBox::field("scenario", format!("its follower {problem}")),
+            });
+        }
+    };
+    Ok((None, Some(law)))
+}
+
+/// Whether a leader can brake as it likes within a limit, and nothing is said of one script besides.
+fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
+    if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
+        return Err(InvalidBox::field(LEADER_LIMIT, format!("must be a number from 0 on, found {limit_mps2}")));
+    }
+    if limit_mps2 > able_mps2 {
+        let problem = format!("is harder than the leader can brake: {able_mps2} m/s² at most, found {limit_mps2}");
+        return Err(InvalidBox::field(LEADER_LIMIT, problem));
+    }
+    let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
+    match of_script.into_iter().find(|(_, range)| range.is_some()) {
+        Some((name, _)) => {
+            let problem = format!("has no meaning where `{LEADER_LIMIT}` is given: the leader brakes as it likes");
+            Err(InvalidBox::field(&format!("ranges.{name}"), problem))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,149 @@
+//! How many runs it takes, how fast they go and how much they leave behind: for planning a count.
+
+use std::time::{Duration, Instant};
+
+use crumple_verify::rate::MOST_RUNS;
+
+use super::record::upper_bound;
+use super::{CountedBlock, RateError, RatePlan, Tally, binomial};
+
+/// Why no number of runs does.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SampleSizeError {
+    /// The rate.
+    #[error("rate: must be above 0 and below 1, found {}", short(*found))]
+    Rate {
+        /// What was asked for.
+        found: f64,
+    },
+    /// Confidence.
+    #[error("confidence: must be above 0.5 and below 1, found {}", short(*found))]
+    Confidence {
+        /// What was asked for.
+        found: f64,
+    },
+    /// It would take too many.
+    #[error("a rate of {} with {failures} failures would take more than {MOST_RUNS} runs", short(*rate))]
+    TooMany {
+        /// The rate that was asked for.
+        rate: f64,
+        /// Failures that may happen.
+        failures: u64,
+    },
+}
+
+/// A number as it is read most easily: with an exponent where it would have many zeros.
+fn format_compact(number: f64) -> String {
+    match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
+        true => number.to_string(),
+        false => format!("{number:e}"),
+    }
+}
+
+/// The smallest number of runs of which so many may fail and the certificate still says: at most `rate`.
+///
+/// # Errors
+/// [`SampleSizeError`] if there is no such number a certificate may speak of.
+pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, SampleSizeError> {
+    if !(rate > 0.0 && rate < 1.0) {
+        return Err(SampleSizeError::Rate { found: rate });
+    }
+    if !(confidence > 0.5 && confidence < 1.0) {
+        return Err(SampleSizeError::Confidence { found: confidence });
+    }
+    let suffices = |runs: u64| binomial::upper(failures, runs, 1.0 - confidence) <= rate;
+    let too_many = SampleSizeError::TooMany { rate, failures };
+    if failures >= MOST_RUNS || !suffices(MOST_RUNS) {
+        return Err(too_many);
+    }
+    let (mut low, mut high) = (failures, MOST_RUNS);
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if suffices(middle) { high = middle } else { low = middle }
+    }
+    // What the checker accepts is rounded outwards, and so a little more.
+    let mut step = 1;
+    while upper_bound(failures, high, confidence) > rate {
+        (high, step) = (high + step, 2 * step);
+        if high > MOST_RUNS {
+            return Err(too_many);
+        }
+    }
+    Ok(high)
+}
+
+impl RatePlan {
+    /// Runs in a second of one core, measured for about as long as is said. They should be those of another seed: of what is counted
+    /// nothing may be known before it is registered.
+    ///
+    /// # Errors
+    /// [`RateError`] if a run cannot be made.
+    pub fn runs_per_second(&self, during: Duration) -> Result<f64, RateError> {
+        let measured = || {
+            let (begun, mut runs) = (Instant::now(), 0);
+            for block in 0..self.blocks() {
+                self.count_again(block)?;
+                let made = self.runs_of(block);
+                runs += made.end - made.start;
+                if begun.elapsed() >= during {
+                    break;
+                }
+            }
+            Ok(runs as f64 / begun.elapsed().as_secs_f64().max(1e-9))
+        };
+        crumple_store::jobs::run_on_one_core(measured)
+    }
+
+    /// Bytes that all shards leave behind, more or less.
+    #[must_use]
+    pub fn estimated_bytes(&self, shards: u32) -> u64 {
+        let length = |blocks: Vec<CountedBlock>| {
+            serde_json::to_string_pretty(&Tally { blocks, ..self.tally() }).map_or(0, |text| text.len() as u64)
+        };
+        let record = serde_json::to_string_pretty(self.record()).map_or(0, |text| text.len() as u64);
+        let block = CountedBlock { failures: 10, sha256: self.tally().registration_sha256, ..CountedBlock::default() };
+        let a_block = length(vec![block]).saturating_sub(length(Vec::new()));
+        u64::from(shards) * (record + length(Vec::new()) + MANIFEST) + self.blocks() * a_block
+    }
+
+    /// The most shards that it can be divided into.
+    #[must_use]
+    pub fn max_shards(&self) -> u32 {
+        u32::try_from(self.blocks()).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
+    }
+}
+
+/// Bytes of a shard's `work.json`.
+const MANIFEST_BYTES: u64 = 650;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_verify::rate::tail_at_most;
+
+    /// The smallest: it does, and one less does not, by the tail that the checker evaluates.
+    #[test]
+    fn as_many_runs_as_it_takes_and_no_more() {
+        for (rate, confidence, failures) in
+            [(0.5, 0.51, 0), (1e-2, 0.99, 0), (1e-3, 0.999, 2), (0.3, 0.9, 40), (1e-4, 1.0 - 1e-6, 0), (0.999, 0.9, 0)]
+        {
+            let runs = runs_for(rate, confidence, failures).unwrap();
+            assert!(tail_at_most(failures, runs, rate) <= 1.0 - confidence, "{rate} {failures}: {runs}");
+            assert!(upper_bound(failures, runs, confidence) <= rate);
+            // The certified bound is stated to nine digits.
+            let fewer = runs - 1 - runs / 100_000_000;
+            assert!(fewer <= failures || tail_at_most(failures, fewer, rate * (1.0 - 1e-9)) > 1.0 - confidence);
+        }
+        assert_eq!(runs_for(1e-4, 1.0 - 1e-6, 0), Ok(138_149));
+        // 10⁶ failures and 3.09 standard deviations more.
+        let many = runs_for(0.5, 0.999, 1_000_000).unwrap();
+        assert!((2_004_300..2_004_500).contains(&many), "{many}");
+        let large = runs_for(1e-8, 0.999, 0).unwrap();
+        assert!((690_775_520..690_776_600).contains(&large), "{large}");
+        assert!(matches!(runs_for(1e-9, 0.999, 0), Err(SampleSizeError::TooMany { .. })));
+        assert!(
+            runs_for(0.0, 0.9, 0).is_err() && runs_for(f64::NAN, 0.9, 0).is_err() && runs_for(0.1, 1.0, 0).is_err()
+        );
+    }
+}

@@ -1,0 +1,136 @@
+//! Who is let in.
+
+use std::hint::black_box;
+
+use hyper::header::{HOST_PROGRAM, HeaderMap, HeaderName, ORIGIN};
+
+use crate::error::Refused;
+
+/// Says which kind of page a request comes from; set by the browser, which no page can change.
+const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
+/// Bytes of the token.
+const TOKEN_BYTES: usize = 32;
+
+/// What a request must have.
+#[derive(Debug)]
+pub(crate) struct RequestAuth {
+    token: String,
+    hosts: [String; 2],
+}
+
+impl RequestAuth {
+    /// That of a server on a port, with a new token.
+    pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
+        let mut bytes = [0; TOKEN_BYTES];
+        getrandom::fill(&mut bytes)?;
+        let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { token, hosts: ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}")) })
+    }
+
+    /// The first address, for the user alone.
+    pub(crate) fn url(&self) -> String {
+        let [host, _] = &self.hosts;
+        format!("http://{host}/{}/", self.token)
+    }
+
+    /// The path behind the token, for a request that may be answered.
+    pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, Refused> {
+        let said = path.strip_prefix('/').unwrap_or_default();
+        let (token, rest) = said.split_once('/').unwrap_or((said, ""));
+        if !is_same(token.as_bytes(), self.token.as_bytes()) {
+            return Err(Refused::Forbidden("the address lacks the token that was printed when this was started"));
+        }
+        let all = |name: &HeaderName| {
+            headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default()).collect::<Vec<_>>()
+        };
+        let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
+        if !matches!(all(&HOST_PROGRAM)[..], [host] if is_own(host)) {
+            return Err(Refused::Forbidden("this is another host's name: use the address that was printed"));
+        }
+        let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
+        let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
+        if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
+            return Err(Refused::Forbidden("a page of another origin asks for this"));
+        }
+        Ok(rest)
+    }
+}
+
+/// Whether two texts are the same, in a time that does not tell where they differ.
+fn is_equal_constant_time(said: &[u8], wanted: &[u8]) -> bool {
+    let difference = said.iter().zip(wanted).fold(0, |difference, (one, other)| black_box(difference | (one ^ other)));
+    said.len() == wanted.len() && difference == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hyper::header::HeaderValue;
+    use proptest::prelude::*;
+
+    fn headers(named: &[(&'static str, &str)]) -> HeaderMap {
+        let pair = |(name, value): &(&'static str, &str)| {
+            (HeaderName::from_static(name), HeaderValue::from_str(value).unwrap())
+        };
+        named.iter().map(pair).collect()
+    }
+
+    #[test]
+    fn tokens_are_long_and_never_the_same() {
+        let [one, other] = [RequestAuth::new(1).unwrap(), RequestAuth::new(1).unwrap()];
+        assert_eq!(one.token.len(), 2 * TOKEN_BYTES);
+        assert_ne!(one.token, other.token);
+    }
+
+    #[test]
+    fn only_the_own_page_at_the_own_address_is_let_in() {
+        let gate = RequestAuth::new(8080).unwrap();
+        let path = format!("/{}/api/run", gate.token);
+        let own = ("host", "127.0.0.1:8080");
+        let admitted =
+            |path: &str, named: &[(&'static str, &str)]| gate.admit(path, &headers(named)).map(str::to_owned).ok();
+        let let_in: [&[_]; 5] = [
+            &[own],
+            &[("host", "LocalHost:8080")],
+            &[own, ("origin", "http://127.0.0.1:8080")],
+            &[own, ("origin", "http://localhost:8080"), ("sec-fetch-site", "same-origin")],
+            &[own, ("sec-fetch-site", "none")],
+        ];
+        for named in let_in {
+            assert_eq!(admitted(&path, named).as_deref(), Some("api/run"), "{named:?}");
+        }
+        let kept_out: [&[_]; 12] = [
+            &[],
+            &[("host", "127.0.0.1")],
+            &[("host", "127.0.0.1:8081")],
+            &[("host", "rebound.example:8080")],
+            &[own, own],
+            &[own, ("origin", "http://evil.example")],
+            &[own, ("origin", "null")],
+            &[own, ("origin", "https://127.0.0.1:8080")],
+            &[own, ("origin", "http://127.0.0.1:8080.evil.example")],
+            &[own, ("origin", "http://127.0.0.1:9999")],
+            &[own, ("sec-fetch-site", "same-site")],
+            &[own, ("sec-fetch-site", "cross-site")],
+        ];
+        for named in kept_out {
+            assert_eq!(admitted(&path, named), None, "{named:?}");
+        }
+    }
+
+    proptest! {
+        /// Whatever else is said in place of the token.
+        #[test]
+        fn nothing_but_the_token_will_do(path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?", change in 0..64_usize, to in "[0-9a-f]") {
+            let gate = RequestAuth::new(80).unwrap();
+            let own = headers(&[("host", "127.0.0.1:80")]);
+            prop_assert!(gate.admit(&path, &own).is_err());
+            let mut token = gate.token.clone();
+            token.replace_range(change..=change, &to);
+            prop_assert_eq!(gate.admit(&format!("/{token}/"), &own).is_ok(), token == gate.token);
+            let cut = format!("/{}/", &gate.token[..change]);
+            prop_assert!(gate.admit(&cut, &own).is_err());
+        }
+    }
+}

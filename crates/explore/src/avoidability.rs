@@ -1,0 +1,53 @@
+//! Whether anybody could have avoided it.
+
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+use serde::Serialize;
+
+use crate::render::replayed;
+use crate::error::Refused;
+
+/// The answer.
+#[derive(Debug, Serialize)]
+pub(crate) struct AvoidabilityResponse {
+    /// `avoidable`, `unavoidable` or `undecided`.
+    verdict: &'static str,
+    #[serde(rename = "words")]
+    sentences: Vec<String>,
+    /// The escape, drawn; empty where there is none.
+    #[serde(rename = "escape")]
+    escape_figure: String,
+}
+
+/// Decides it, as `crumple avoid` does.
+pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, Refused> {
+    let found = avoid(scenario, AvoidOptions::default()).map_err(|error| Refused::invalid("scenario", error))?;
+    let mut words = Vec::new();
+    let mut drawn = String::new();
+    match &found.verdict {
+        AvoidanceVerdict::Avoidable(escape) => {
+            words.push(format!(
+                "Yes: this escape keeps {:.2} m. Somebody who knows what comes drives like this.",
+                (100.0 * escape.min_gap_m).floor() / 100.0
+            ));
+            let options =
+                RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
+            let run = Run::new(&escape.scenario, options).map_err(|error| Refused::Failed(error.to_string()))?;
+            drawn = replayed(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
+        }
+        AvoidanceVerdict::Unavoidable(_) => {
+            words.push("No: every driver collides. That is proved, and the checker has accepted the proof.".to_owned())
+        }
+        AvoidanceVerdict::Undecided(reason) => words.push(format!("Undecided: {reason}")),
+    }
+    if let Some(bound_m) = found.min_gap_bound_m {
+        words.push(format!(
+            "No driver keeps more than {:.2} m, by a computed bound without a certificate.",
+            (100.0 * bound_m).ceil() / 100.0
+        ));
+    }
+    Ok(AvoidabilityResponse { verdict: found.verdict.name(), words, escape: drawn })
+}

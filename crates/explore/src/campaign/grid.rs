@@ -1,0 +1,106 @@
+//! A map of a campaign over two of its coordinates: how many evaluations of each cell fail, and which is the worst.
+
+use crumple_search::falsify::campaign::CampaignReader;
+use crumple_world::scenario::space::Parameter;
+
+use super::Chosen;
+
+/// Cells along a coordinate of numbers.
+const CELLS_PER_AXIS: usize = 12;
+
+/// The map.
+#[derive(Debug)]
+pub(crate) struct FailureGrid {
+    pub(crate) x_axis: GridAxis,
+    pub(crate) y_axis: GridAxis,
+    /// Row by row, from the smallest value up.
+    pub(crate) cells: Vec<GridCell>,
+}
+
+/// One of its sides.
+#[derive(Debug)]
+pub(crate) struct GridAxis {
+    pub(crate) name: String,
+    pub(crate) unit: &'static str,
+    /// Between which values each cell lies, as they are shown; one name where values have names.
+    pub(crate) cell_bounds: Vec<(String, String)>,
+    pub(crate) is_named: bool,
+}
+
+/// What was tried in a cell.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct GridCell {
+    pub(crate) total: usize,
+    pub(crate) failing: usize,
+    /// Place of the evaluation with the smallest robustness, and that.
+    pub(crate) worst: Option<(usize, f64)>,
+}
+
+impl FailureGrid {
+    /// That of two coordinates by their names; none if the campaign has not both.
+    pub(crate) fn from_campaign(look: &CampaignReader, names: [&str; 2], chosen: &Chosen<'_>) -> Option<Self> {
+        let known = look.space().coordinate_names();
+        let parameters: Vec<&Parameter> = look.space().coordinate_parameters().collect();
+        let side = |name: &str| {
+            let place = known.iter().position(|known| known == name)?;
+            Some((place, GridAxis::of(name, parameters.get(place)?)))
+        };
+        let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
+        let mut cells = vec![GridCell::default(); across.cells.len() * up.cells.len()];
+        for (index, (method, evaluated)) in look.evaluations().iter().enumerate() {
+            let Some(fails) = chosen.of(look, method, evaluated) else { continue };
+            let at = |side: &GridAxis, coordinate: usize| {
+                let share = evaluated.point.get(coordinate).copied().unwrap_or(0.0);
+                ((share * side.cells.len() as f64) as usize).min(side.cells.len() - 1)
+            };
+            let place = at(&up, y) * across.cells.len() + at(&across, x);
+            if let Some(cell) = cells.get_mut(place) {
+                cell.tried += 1;
+                cell.failing += usize::from(fails);
+                let robustness = evaluated.verdict.robustness;
+                if cell.worst.is_none_or(|(_, least)| robustness < least) {
+                    cell.worst = Some((index, robustness));
+                }
+            }
+        }
+        Some(Self { across, up, cells })
+    }
+}
+
+impl GridAxis {
+    fn new(name: &str, parameter: &Parameter) -> Self {
+        let [low, high] = parameter.range();
+        let is_named = parameter.is_named();
+        // Names lie evenly in the cube, one cell each.
+        let count = if is_named { (high - low).round().clamp(1.0, 40.0) as usize + 1 } else { CELLS };
+        let value = |share: f64| match is_named {
+            true => parameter.show(parameter.value(share)),
+            false => short(parameter.value(share)),
+        };
+        let cell = |index: usize| match is_named {
+            true => (value((index as f64 + 0.5) / count as f64), String::new()),
+            false => (value(index as f64 / count as f64), value((index + 1) as f64 / count as f64)),
+        };
+        Self { name: name.to_owned(), unit: parameter.unit(), cells: (0..count).map(cell).collect(), is_named }
+    }
+
+    /// The values of a cell in words.
+    pub(crate) fn cell_label(&self, cell: usize) -> String {
+        let Some((from, to)) = self.cells.get(cell) else { return String::new() };
+        let unit = if self.unit == "1" || self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
+        match self.is_named {
+            true => format!("{} {from}", self.name),
+            false => format!("{} {from} to {to}{unit}", self.name),
+        }
+    }
+}
+
+/// With three digits.
+fn format_3_digits(value: f64) -> String {
+    let digits = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 6) };
+    let text = format!("{value:.*}", digits as usize);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}

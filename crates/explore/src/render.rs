@@ -1,0 +1,227 @@
+//! Runs of a scenario as the page shows them: verdicts, diagrams, the view from above, and where its sliders stand.
+
+use crumple_core::quoted::{Lines, Terminal};
+use crumple_report::draw::{self, Layout, MotionAxes, MotionFigure, motion_on, vehicle_names};
+use crumple_world::measure::UnnecessaryBraking;
+use crumple_world::scenario::{Driver, LeadProfile, Scenario};
+use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use maud::html;
+use serde::Serialize;
+
+use crate::catalog::Catalog;
+use crate::error::Refused;
+use crate::request::{RunRequest, gaps_m};
+
+/// Cells of the pad on which the leader's braking is drawn, at most.
+const MAX_PAD_CELLS: usize = 60;
+
+/// What the page shows of a scenario.
+#[derive(Debug, Serialize)]
+pub(crate) struct RunResponse {
+    runs: Vec<Told>,
+    /// Time-space, speed and gap diagrams, as SVG.
+    figures: String,
+    /// The views from above.
+    #[serde(rename = "above")]
+    top_views: String,
+    sliders: Sliders,
+}
+
+/// What came of one run.
+#[derive(Debug, Serialize)]
+struct RunSummary {
+    controller: String,
+    /// `safe`, `collision` or `failed`.
+    verdict: &'static str,
+    #[serde(rename = "words")]
+    summary: String,
+    notes: Vec<String>,
+    contact_time_s: Option<f64>,
+}
+
+/// Where sliders stand.
+#[derive(Debug, Serialize)]
+pub(crate) struct Sliders {
+    name: String,
+    duration_s: f64,
+    friction: f64,
+    vehicles: Vec<VehicleSliders>,
+    lead: LeadPad,
+}
+
+/// Those of a vehicle.
+#[derive(Debug, Serialize)]
+struct VehicleSliders {
+    name: String,
+    class: &'static str,
+    driver: String,
+    /// None for the first vehicle.
+    gap_m: Option<f64>,
+    speed_mps: f64,
+}
+
+/// The pad of the leader.
+#[derive(Debug, Serialize)]
+struct LeadPad {
+    cell_s: f64,
+    /// What its script asks for in each cell; none if it follows none.
+    accel_mps2: Option<Vec<f64>>,
+    max_brake_mps2: f64,
+    max_accel_mps2: f64,
+}
+
+/// Runs what is asked for, and draws it.
+pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result<RunResponse, Refused> {
+    let scenario = request.scenario(offer)?;
+    let controllers = offer.controllers(&request.controllers)?;
+    let mut runs = Vec::new();
+    for controller in &controllers {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(request.estimator);
+        let run = Run::new(&scenario, options).map_err(|error| Refused::invalid("controllers", error))?;
+        runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
+    }
+    Ok(RunResponse {
+        runs: runs.iter().map(|(controller, run)| told(controller, &scenario, run)).collect(),
+        figures: figures(&scenario, &runs, request.narrow),
+        above: above(&scenario, &runs),
+        sliders: Sliders::of(&scenario),
+    })
+}
+
+fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simulated) -> Told {
+    let (verdict, words) = match &run.outcome {
+        Outcome::Collision(contact) => (
+            "collision",
+            format!(
+                "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
+                contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+            ),
+        ),
+        Outcome::ControllerFailed(failed) => ("failed", format!("✗ Controller failed: {failed}")),
+        Outcome::NoCollision => {
+            let closest = run.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min);
+            let gap = if closest.is_finite() { format!(", smallest gap {closest:.2} m") } else { String::new() };
+            ("safe", format!("✓ No contact in {} s{gap}", scenario.spec().duration_s))
+        }
+    };
+    let mut notes = Vec::new();
+    if !scenario.has_vehicle_under_test() {
+        notes.push("no vehicle is under test: the scenario's own drivers drive".to_owned());
+    }
+    if !controller.kind.is_deterministic() {
+        notes.push("it says of itself that it is not deterministic: another run may end otherwise".to_owned());
+    }
+    for vehicle in (0..scenario.vehicles().len()).filter(|&vehicle| scenario.is_under_test(vehicle)) {
+        let braking = run.trace.as_ref().and_then(|trace| UnnecessaryBraking::of(trace, &run.impacts, vehicle));
+        if let Some(braking) = braking.filter(|braking| braking.hardest.is_some()) {
+            notes.push(format!("vehicle {vehicle} brakes without cause for {:.2} s", braking.time_s));
+        }
+    }
+    let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
+    Told { controller: shown(&controller.name), verdict, words: shown(&words), notes, contact_time_s }
+}
+
+/// Text that somebody else wrote, with what does not show as itself escaped.
+fn escape_text(text: &str) -> String {
+    Terminal(text).to_string()
+}
+
+/// The diagrams of all runs on the same axes.
+fn render_figures(scenario: &Scenario, runs: &[(&NamedController, Simulated)], narrow: bool) -> String {
+    let labels = vehicle_names(scenario);
+    let traced: Vec<_> =
+        runs.iter().filter_map(|(controller, run)| Some((*controller, run, run.trace.as_ref()?))).collect();
+    let axes = MotionAxes::of_all(traced.iter().map(|(_, _, trace)| *trace));
+    let layout = match (narrow, traced.len()) {
+        (true, _) => Layout::Stacked,
+        (false, 1) => Layout::Wide,
+        (false, _) => Layout::Column,
+    };
+    let drawn = html! {
+        div.side-by-side data-columns=(if narrow { 1 } else { traced.len().min(2) }) {
+            @for (index, (controller, run, trace)) in traced.iter().enumerate() {
+                @let prefix = format!("motion-{index}");
+                (motion_on(&MotionFigure { prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts }, &axes, layout))
+            }
+        }
+    };
+    Lines(&drawn.into_string()).to_string()
+}
+
+fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, Simulated)]) -> String {
+    let drawn = html! {
+        @for (index, (controller, run)) in runs.iter().enumerate() {
+            @if let Some(trace) = &run.trace {
+                (draw::animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
+            }
+        }
+    };
+    Lines(&drawn.into_string()).to_string()
+}
+
+/// The diagrams of a run whose drivers the scenario has itself.
+pub(crate) fn render_replay(scenario: &Scenario, run: &Simulated, title: &str) -> String {
+    let Some(trace) = &run.trace else { return String::new() };
+    let labels = vehicle_names(scenario);
+    let figure = MotionFigure { prefix: "escape", title, labels: &labels, trace, impacts: &run.impacts };
+    Lines(&draw::motion_responsive(&figure).into_string()).to_string()
+}
+
+impl Sliders {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let spec = scenario.spec();
+        let gaps_m = gaps_m(spec);
+        let names = vehicle_names(scenario);
+        let vehicle = |(index, vehicle): (usize, &crumple_world::scenario::VehicleSpec)| VehicleSliders {
+            name: names.get(index).cloned().unwrap_or_default(),
+            class: vehicle.class.name(),
+            driver: match &vehicle.driver {
+                Driver::Controller(controller) => controller.words(),
+                driver => driver.name().to_owned(),
+            },
+            gap_m: index.checked_sub(1).and_then(|before| gaps_m.get(before).copied()),
+            speed_mps: vehicle.speed_mps,
+        };
+        Self {
+            name: spec.name.clone(),
+            duration_s: spec.duration_s,
+            friction: spec.environment.friction,
+            vehicles: spec.vehicles.iter().enumerate().map(vehicle).collect(),
+            lead: LeadPad::of(scenario),
+        }
+    }
+}
+
+impl LeadPad {
+    fn new(scenario: &Scenario) -> Self {
+        let (spec, steps) = (scenario.spec(), scenario.steps());
+        let cell_steps = steps.div_ceil(MAX_PAD_CELLS).max(1);
+        let lead = spec.vehicles.first();
+        let script = lead.and_then(|lead| match &lead.driver {
+            Driver::Profile(profile) => Some(cells(profile, lead.speed_mps, spec.step_s, steps, cell_steps)),
+            _ => None,
+        });
+        Self {
+            cell_s: cell_steps as f64 * spec.step_s,
+            accel_mps2: script,
+            max_brake_mps2: lead.map_or(0.0, |lead| lead.max_brake_mps2()),
+            max_accel_mps2: lead.map_or(0.0, |lead| lead.max_accel_mps2()),
+        }
+    }
+}
+
+/// What a script asks for on average over each cell, of a vehicle that follows it.
+fn mean_accelerations(profile: &LeadProfile, mut speed_mps: f64, step_s: f64, steps: usize, cell_steps: usize) -> Vec<f64> {
+    let mut means = Vec::new();
+    for first in (0..steps).step_by(cell_steps) {
+        let here = first..steps.min(first + cell_steps);
+        let (mut sum, count) = (0.0, here.len() as f64);
+        for step in here {
+            let asked = profile.acceleration_mps2(step as f64 * step_s, (step + 1) as f64 * step_s, speed_mps);
+            sum += asked;
+            speed_mps = (speed_mps + asked * step_s).max(0.0);
+        }
+        means.push((1e6 * sum / count).round() / 1e6 + 0.0);
+    }
+    means
+}

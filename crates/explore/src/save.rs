@@ -1,0 +1,123 @@
+//! A scenario as a file.
+
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use crumple_core::quoted::{ShellWord, Terminal};
+use crumple_world::scenario::{Scenario, file};
+use serde::Serialize;
+
+use crate::error::Refused;
+
+/// Letters of a file's name.
+const MAX_STEM_CHARS: usize = 60;
+/// Files of one name.
+const MAX_SAME_NAME_FILES: usize = 1000;
+
+/// A scenario that was, or can be, saved.
+#[derive(Debug, Serialize)]
+pub(crate) struct SaveResponse {
+    file_name: String,
+    toml: String,
+    /// Where it was saved; none if there is no folder for that.
+    path: Option<String>,
+    /// What runs it again.
+    command: String,
+}
+
+/// Writes a scenario into a folder, if there is one, under a name of its own; nothing there is overwritten.
+pub(crate) fn save_scenario(
+    scenario: &Scenario,
+    controller: &str,
+    estimator: &str,
+    out: Option<&Path>,
+) -> Result<SaveResponse, Refused> {
+    let toml = file::to_toml(scenario).map_err(|error| Refused::Failed(error.to_string()))?;
+    let plain = plain(&scenario.spec().name);
+    let path = out.map(|folder| written(folder, &plain, &toml)).transpose()?;
+    let file_name = path
+        .as_ref()
+        .and_then(|path| path.file_name())
+        .map_or(format!("{plain}.toml"), |name| name.to_string_lossy().into_owned());
+    let place = path.as_ref().map_or(file_name.clone(), |path| path.display().to_string());
+    let command = format!(
+        "crumple simulate {} --controller {} --estimator {estimator}",
+        ShellWord(&place),
+        ShellWord(controller)
+    );
+    Ok(SaveResponse {
+        file_name,
+        toml,
+        path: path.map(|path| Terminal(&path.display().to_string()).to_string()),
+        command: Terminal(&command).to_string(),
+    })
+}
+
+fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Refused> {
+    for number in 1..=MAX_SAME_NAME_FILES {
+        let name = if number == 1 { format!("{plain}.toml") } else { format!("{plain}-{number}.toml") };
+        let path = folder.join(name);
+        let failed = |error: std::io::Error| Refused::Failed(format!("{}: {error}", path.display()));
+        // Only where nothing is, links included: what is there stays as it is.
+        let mut file = match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
+            Err(error) => return Err(failed(error)),
+        };
+        return match file.write_all(toml.as_bytes()).and_then(|()| file.sync_all()) {
+            Ok(()) => Ok(path),
+            Err(error) => {
+                // Half a scenario is none.
+                let _ = std::fs::remove_file(&path);
+                Err(failed(error))
+            }
+        };
+    }
+    Err(Refused::invalid("edits.name", format!("there are {MOST_OF_A_NAME} scenarios of this name already")))
+}
+
+/// The name of a file: letters, digits and hyphens, so that it leads nowhere else and is none that a system keeps for itself.
+fn file_stem(name: &str) -> String {
+    let mut plain = String::new();
+    for letter in name.chars() {
+        match letter.is_ascii_alphanumeric() {
+            true => plain.push(letter.to_ascii_lowercase()),
+            false if !plain.ends_with('-') && !plain.is_empty() => plain.push('-'),
+            false => {}
+        }
+    }
+    plain.truncate(MAX_STEM_CHARS);
+    let plain = plain.trim_matches('-');
+    let is_reserved = ["con", "prn", "aux", "nul"].contains(&plain)
+        || plain.len() == 4 && (plain.starts_with("com") || plain.starts_with("lpt"));
+    if plain.is_empty() || is_reserved {
+        format!("scenario{}{plain}", if plain.is_empty() { "" } else { "-" })
+    } else {
+        plain.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::built_in;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Whatever it is called, it goes into the folder, is a scenario, and replaces nothing.
+        #[test]
+        fn a_scenario_is_saved_in_the_folder_and_nowhere_else(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
+            let parent = tempfile::tempdir().unwrap();
+            let out = parent.path().join("out");
+            std::fs::create_dir(&out).unwrap();
+            let scenario = built_in("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
+            for times in 1..4 {
+                let saved = saved(&scenario, "idm", "truth", Some(&out)).unwrap();
+                prop_assert_eq!(std::fs::read_dir(&out).unwrap().count(), times);
+                prop_assert_eq!(file::load(&out.join(&saved.file_name)).unwrap(), scenario.clone());
+            }
+            prop_assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1);
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! Folders that FMUs are unpacked into. A process locks its folder; the system releases the lock when the process ends, however
+//! it ends. Each start removes the folders of earlier processes that hold no lock any more.
+//!
+//! The temporary folder may belong to all users: only real folders of the own user are locked and removed, and no link is
+//! followed.
+
+use std::io;
+use std::path::Path;
+
+use tempfile::{Builder, TempDir};
+
+/// Beginning of the name of each folder. Releases before the lock used other names, which are left alone.
+const PREFIX: &str = "crumple-fmu-run-";
+
+/// Most folders that are created until one is locked: another process may remove a folder before its owner locks it.
+const MAX_ATTEMPTS: usize = 100;
+
+/// Locked temporary folder, removed when dropped.
+pub(super) struct UnpackedFolder {
+    // Dropped before the lock: a folder without a lock is free to be removed.
+    folder: TempDir,
+    #[cfg(unix)]
+    _lock: Option<std::fs::File>,
+}
+
+impl UnpackedFolder {
+    /// Creates an empty folder that no other user can open, and removes the folders that ended processes left behind.
+    ///
+    /// # Errors
+    /// The system's error if the folder cannot be created.
+    pub(super) fn new() -> io::Result<Self> {
+        Self::new_in(&std::env::temp_dir())
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    #[cfg(unix)]
+    fn new_in(temporary: &Path) -> io::Result<Self> {
+        use std::os::unix::fs::PermissionsExt as _;
+
+        unix::remove_abandoned(temporary);
+        let mut builder = Builder::new();
+        builder.prefix(PREFIX).permissions(std::fs::Permissions::from_mode(0o700));
+        for _ in 0..MAX_ATTEMPTS {
+            let folder = builder.tempdir_in(temporary)?;
+            if let Some(lock) = unix::lock(folder.path())? {
+                return Ok(Self { folder, _lock: Some(lock) });
+            }
+        }
+        Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process removes new folders"))
+    }
+
+    #[cfg(not(unix))]
+    fn new_in(temporary: &Path) -> io::Result<Self> {
+        Ok(Self { folder: Builder::new().prefix(PREFIX).tempdir_in(temporary)? })
+    }
+}
+
+#[cfg(unix)]
+mod unix {
+    use std::fs::{self, File, TryLockError};
+    use std::io;
+    use std::os::unix::fs::MetadataExt as _;
+    use std::path::Path;
+
+    use rustix::fs::{Mode, OFlags};
+
+    use super::PREFIX;
+
+    /// Opens a folder itself, not what a link points to.
+    fn open(path: &Path) -> io::Result<File> {
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+        Ok(rustix::fs::open(path, flags, Mode::empty())?.into())
+    }
+
+    /// Locks a new folder; none if another process has removed it, or is about to. On a file system without locks no process
+    /// locks a folder, and none removes one.
+    ///
+    /// # Errors
+    /// The system's error if the folder cannot be opened.
+    pub(super) fn lock(path: &Path) -> io::Result<Option<File>> {
+        let folder = match open(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            opened => opened?,
+        };
+        if let Err(TryLockError::WouldBlock) = folder.try_lock() {
+            return Ok(None);
+        }
+        let locked = folder.metadata()?;
+        let is_there =
+            fs::symlink_metadata(path).is_ok_and(|found| (found.dev(), found.ino()) == (locked.dev(), locked.ino()));
+        Ok(is_there.then_some(folder))
+    }
+
+    /// Removes each folder of the own user whose process has ended. What cannot be removed stays.
+    pub(super) fn remove_abandoned(temporary: &Path) {
+        let Ok(entries) = fs::read_dir(temporary) else { return };
+        for entry in
+            entries.flatten().filter(|entry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()))
+        {
+            let path = entry.path();
+            let Ok(folder) = open(&path) else { continue };
+            let own = rustix::process::geteuid().as_raw();
+            if folder.metadata().is_ok_and(|found| found.uid() == own) && folder.try_lock().is_ok() {
+                let _ = fs::remove_dir_all(&path);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    use std::fs;
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
+    use std::path::PathBuf;
+
+    use super::*;
+
+    fn sorted_names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// Creates a folder as a process leaves it that was killed.
+    fn create_abandoned(temporary: &Path, name: &str) -> PathBuf {
+        let path = temporary.join(format!("{PREFIX}{name}"));
+        fs::create_dir_all(path.join("binaries/linux64")).unwrap();
+        fs::write(path.join("binaries/linux64/a.so"), "library").unwrap();
+        path
+    }
+
+    #[test]
+    fn a_start_removes_folders_without_a_lock_and_keeps_those_in_use() {
+        let temporary = tempfile::tempdir().unwrap();
+        let in_use = UnpackedFolder::new_in(temporary.path()).unwrap();
+        fs::write(in_use.path().join("data.txt"), "data").unwrap();
+        assert_eq!(fs::metadata(in_use.path()).unwrap().permissions().mode() & 0o777, 0o700);
+        for name in ["1", "2", "3"] {
+            abandoned(temporary.path(), name);
+        }
+        let second = UnpackedFolder::new_in(temporary.path()).unwrap();
+        let mut expected = [in_use.path(), second.path()].map(|path| path.file_name().unwrap().to_str().unwrap());
+        expected.sort_unstable();
+        assert_eq!(names(temporary.path()), expected);
+        assert_eq!(fs::read_to_string(in_use.path().join("data.txt")).unwrap(), "data");
+        drop((in_use, second));
+        assert!(names(temporary.path()).is_empty());
+    }
+
+    /// Other users can put anything into a shared temporary folder.
+    #[test]
+    fn links_files_and_other_names_are_left_alone() {
+        let temporary = tempfile::tempdir().unwrap();
+        let precious = tempfile::tempdir().unwrap();
+        fs::write(precious.path().join("precious"), "precious").unwrap();
+        symlink(precious.path(), temporary.path().join(format!("{PREFIX}link"))).unwrap();
+        symlink(temporary.path().join("nothing"), temporary.path().join(format!("{PREFIX}dangling"))).unwrap();
+        fs::write(temporary.path().join(format!("{PREFIX}file")), "file").unwrap();
+        fs::create_dir(temporary.path().join("crumple-fmu-Ab12Cd")).unwrap();
+        let inside = abandoned(temporary.path(), "abandoned");
+        symlink(precious.path(), inside.join("resources")).unwrap();
+        let before = names(temporary.path());
+        drop(UnpackedFolder::new_in(temporary.path()).unwrap());
+        let left: Vec<String> = before.into_iter().filter(|name| !name.ends_with("-abandoned")).collect();
+        assert_eq!(names(temporary.path()), left);
+        assert_eq!(names(precious.path()), ["precious"]);
+    }
+
+    /// Eight starts at once, again and again: none loses its folder to the others.
+    #[test]
+    fn starts_at_the_same_time_keep_their_folders() {
+        let temporary = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| {
+                    for _ in 0..50 {
+                        let folder = UnpackedFolder::new_in(temporary.path()).unwrap();
+                        fs::write(folder.path().join("data.txt"), "data").unwrap();
+                        std::thread::yield_now();
+                        assert_eq!(fs::read_to_string(folder.path().join("data.txt")).unwrap(), "data");
+                    }
+                });
+            }
+        });
+        assert!(names(temporary.path()).is_empty());
+    }
+}

@@ -1,0 +1,33 @@
+//! What convex programs say no driver can do, no driver does.
+
+use super::{Checked, Finding, Question, must};
+use crate::Law;
+use crumple_search::worst_case::AvoidanceVerdict;
+use crumple_world::sim::Outcome;
+
+/// What is proved of all drivers in exact arithmetic, the simulation may miss by rounding, in metres.
+const ROUNDING_M: f64 = 1e-6;
+/// Longer scenarios are not asked about: dozens of programs with a variable or more a step take seconds, and with a fuzzer's
+/// counters in the solver's loops half a minute.
+const MAX_STEPS: usize = 500;
+
+/// No run is without contact in a scenario proved unavoidable, and none keeps a larger gap than is proved possible.
+///
+/// # Errors
+/// [`Law::Avoidability`].
+pub fn avoidability_bound_holds(question: &Question<'_>) -> Finding {
+    let is_long = question.test_case.scenario.steps() > MOST_STEPS;
+    if is_long || question.result.outcome != Outcome::NoCollision {
+        return Ok(Checked::DoesNotApply);
+    }
+    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else { return Ok(Checked::DoesNotApply) };
+    let unavoidable = matches!(avoidance.verdict, AvoidanceVerdict::Unavoidable(_));
+    must(!unavoidable, Law::Avoidability, || "it ends without contact and is `unavoidable`".to_owned())?;
+    let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+    let (smallest_m, bound_m) = (gaps_m.fold(f64::INFINITY, f64::min), avoidance.min_gap_bound_m);
+    let possible = bound_m.is_none_or(|bound_m| smallest_m <= bound_m + ROUNDING_M);
+    must(possible, Law::Avoidability, || {
+        format!("its smallest gap is {smallest_m} m, and nobody keeps {bound_m:?} m")
+    })?;
+    Ok(if bound_m.is_some() { Checked::Holds } else { Checked::DoesNotApply })
+}

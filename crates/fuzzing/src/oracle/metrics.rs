@@ -1,0 +1,113 @@
+//! Verdict, summary, trace and report tell one story.
+
+use super::{Checked, Finding, Question, ROUNDING_M, grazes, must};
+use crate::Law;
+use crumple_world::measure::ContactRole;
+use crumple_world::scenario::Driver;
+use crumple_world::sim::{AfterContact, Outcome, Pair};
+
+/// The recorded motion, the outcome and whose contact it is said to be agree, and no vehicle goes beyond what road and
+/// vehicle allow.
+///
+/// # Errors
+/// [`Law::OneStory`], [`Law::Limits`] or [`Law::ContactRole`].
+pub fn metrics_agree(question: &Question<'_>) -> Finding {
+    let (trace, result, scenario) = (question.trace()?, &question.result, &question.test_case.scenario);
+    let story = |holds: bool, finding: &dyn Fn() -> String| must(holds, Law::OneStory, finding);
+    let stops = question.run.options().after_contact == AfterContact::Stop;
+    let first = result.impacts.first().map(|impact| impact.contact);
+    let told = result.outcome.contact().copied() == first || result.outcome.failed().is_some();
+    story(told, &|| "the outcome is not the first impact".to_owned())?;
+    let in_order = result.impacts.windows(2).all(|pair| match pair {
+        [before, after] => before.contact.time_s <= after.contact.time_s,
+        _ => true,
+    });
+    story(in_order, &|| "impacts are not in order of time".to_owned())?;
+    let end_s = trace.time_s.last().copied().unwrap_or(f64::NAN);
+    let ended = match &result.outcome {
+        Outcome::Collision(contact) if stops => end_s == contact.time_s,
+        Outcome::ControllerFailed(failed) => end_s == failed.time_s && can_controller_fail(question),
+        _ => (end_s - scenario.spec().duration_s).abs() < 1e-9,
+    };
+    story(ended, &|| format!("the trace ends at {end_s} s, with {:?}", result.outcome))?;
+    story(result.vehicles.len() == scenario.vehicles().len(), &|| "a vehicle is missing".to_owned())?;
+    for (index, (summary, track)) in result.vehicles.iter().zip(&trace.vehicles).enumerate() {
+        // Nothing is held after the last sample: what stands there may be what an impact just before it made of it.
+        let held = track.acceleration_mps2.len().saturating_sub(usize::from(!result.impacts.is_empty() && !stops));
+        let hardest_mps2 = track.acceleration_mps2.iter().take(held).fold(0.0_f64, |hardest, a| hardest.max(-a));
+        let braked = summary.max_brake_mps2 == hardest_mps2;
+        story(braked, &|| format!("vehicle {index} braked at {hardest_mps2} m/s², told {}", summary.max_brake_mps2))?;
+        let stopped = track.speed_mps.last() == Some(&0.0);
+        story(summary.stopped == stopped, &|| format!("vehicle {index} stands: {stopped}, told otherwise"))?;
+        let pairs = trace.pairs(index);
+        if pairs.is_empty() {
+            continue;
+        }
+        let gaps_m: Vec<f64> = pairs.iter().flat_map(Pair::gaps_m).map(|(_, gap_m)| gap_m).collect();
+        let sampled_m = gaps_m.iter().copied().fold(f64::INFINITY, f64::min);
+        let min_gap_m = summary.min_gap_m.unwrap_or(f64::NAN);
+        let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
+        story(below, &|| format!("vehicle {index}: smallest gap {min_gap_m} m, but a sample has {sampled_m} m"))?;
+        let ends_m = gaps_m.last().copied().unwrap_or(f64::NAN);
+        story(min_gap_m >= 0.0, &|| format!("vehicle {index}: a smallest gap of {min_gap_m} m is told"))?;
+        let touches = result.impacts.iter().any(|impact| impact.contact.rear_vehicle == index);
+        // A run ends at its first contact, the foremost if there are several at one instant: the others are not told.
+        let at_once = stops && first.is_some() && !touches && ends_m.abs() < ROUNDING_M;
+        if at_once {
+            continue;
+        }
+        story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} touches: {touches}, gap {min_gap_m} m"))?;
+        let through = !touches && sampled_m <= 0.0 && !grazes(result);
+        story(!through, &|| format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no contact"))?;
+        let in_contact = !touches || ends_m.abs() < ROUNDING_M;
+        story(in_contact, &|| format!("vehicle {index} touches, but is {ends_m} m away"))?;
+    }
+    limits(question)?;
+    role(question)?;
+    Ok(Checked::Holds)
+}
+
+/// Only a controller from outside fails.
+fn can_controller_fail(question: &Question<'_>) -> bool {
+    question.run.options().controller.is_from_outside()
+}
+
+/// Where there is neither noise nor an impact that pushes, accelerations are within limits.
+fn check_limits(question: &Question<'_>) -> Result<(), (Law, String)> {
+    let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
+    for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
+        let involved = |impact: &crumple_world::sim::Impact| impact.involves(index);
+        let pushed = question.run.options().after_contact == AfterContact::Continue
+            && question.result.impacts.iter().any(involved);
+        if vehicle.acceleration_noise_mps2 > 0.0 || pushed {
+            continue;
+        }
+        let usable_mps2 = vehicle.max_brake_mps2() * scenario.spec().environment.friction;
+        let allowed = -usable_mps2 - 1e-12..=vehicle.max_accel_mps2() + 1e-12;
+        let beyond = track.acceleration_mps2.iter().find(|a| !allowed.contains(*a));
+        must(beyond.is_none(), Law::Limits, || {
+            format!("vehicle {index} accelerates at {beyond:?} m/s², not {allowed:?}")
+        })?;
+    }
+    Ok(())
+}
+
+/// Whose contact it was, judged by the trace alone: by the pair whose gap is closed at its end.
+fn check_contact_role(question: &Question<'_>) -> Result<(), (Law, String)> {
+    let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
+    let Some(contact) = question.result.outcome.contact() else { return Ok(()) };
+    let told = question.system.contact_role(contact, scenario);
+    let closed = |rear: &usize| {
+        let gap_m = trace.pairs(*rear).last().and_then(|pair| pair.gaps_m().last());
+        gap_m.is_some_and(|(_, gap_m)| gap_m < ROUNDING_M)
+    };
+    let touching = (1..trace.vehicles.len()).find(closed);
+    let under_test = |index: usize| scenario.vehicles().get(index).is_some_and(|v| v.driver == Driver::UnderTest);
+    let tested = (under_test(contact.rear_vehicle), under_test(contact.front_vehicle));
+    let agrees = match told {
+        ContactRole::Hits => tested.0 && touching.is_some(),
+        ContactRole::IsHit => tested == (false, true),
+        ContactRole::Bystander => tested == (false, false),
+    };
+    must(agrees, Law::ContactRole, || format!("the contact is said to be {told:?}: {contact:?}"))
+}

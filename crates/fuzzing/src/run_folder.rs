@@ -1,0 +1,156 @@
+//! A folder of work whose files anybody may have written: what is looked at and gone on with in it is what was written there.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::sync::OnceLock;
+
+use crumple_core::observer::{Listener, Quiet};
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_store::work::{Examined, examine};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::NamedController;
+
+/// Bytes of files by their names, from their folder.
+type FolderContents = BTreeMap<String, Vec<u8>>;
+
+/// What becomes of the genuine folder, read from bytes: each change is a file, what is done to it, and what with.
+///
+/// | byte | meaning |
+/// |---|---|
+/// | which | the file, by its place in the order of names |
+/// | how | flip a bit, cut, replace by the rest, remove, swap with another, append the rest |
+/// | where, where | where, or which other file |
+fn apply_changes(genuine: &FolderContents, bytes: &[u8]) -> FolderContents {
+    let mut contents = genuine.clone();
+    let names: Vec<&String> = genuine.keys().collect();
+    let mut rest = bytes;
+    while let [which, how, high, low, behind @ ..] = rest {
+        rest = behind;
+        let Some(name) = names.get(usize::from(*which) % names.len().max(1)) else { break };
+        let place = usize::from(u16::from_be_bytes([*high, *low]));
+        let Some(file) = contents.get_mut(*name) else { continue };
+        match how % 6 {
+            0 => {
+                let length = file.len().max(1);
+                if let Some(byte) = file.get_mut(place % length) {
+                    *byte ^= 1 << (how / 6 % 8);
+                }
+            }
+            1 => file.truncate(place % (file.len() + 1)),
+            2 => {
+                *file = behind.to_vec();
+                break;
+            }
+            3 => drop(contents.remove(*name)),
+            4 => {
+                let other = names.get(place % names.len()).copied();
+                if let Some(other) = other.and_then(|other| contents.get(other)).cloned() {
+                    contents.insert((*name).clone(), other);
+                }
+            }
+            _ => {
+                file.extend_from_slice(behind);
+                break;
+            }
+        }
+    }
+    contents
+}
+
+/// The smallest campaign there is.
+fn small_campaign() -> Option<Campaign> {
+    let space = built_in_space("high-risk")?;
+    Some(Campaign {
+        estimator: EstimatorKind::Truth,
+        method: Method::Uniform,
+        budget: 6,
+        seed: 3,
+        ..Campaign::new(NamedController::find("match-leader", Path::new("")).ok()?, space)
+    })
+}
+
+/// All files below a folder, but for the lock, which is empty.
+fn read_folder(folder: &Path) -> io::Result<FolderContents> {
+    let mut contents = FolderContents::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(next) = open.pop() {
+        for entry in fs::read_dir(next)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                open.push(path);
+            } else if let Ok(name) = path.strip_prefix(folder)
+                && name != Path::new("work.lock")
+            {
+                contents.insert(name.to_string_lossy().into_owned(), fs::read(&path)?);
+            }
+        }
+    }
+    Ok(contents)
+}
+
+fn write_folder(folder: &Path, contents: &FolderContents) -> io::Result<()> {
+    for (name, bytes) in contents {
+        let path = folder.join(name);
+        path.parent().map_or(Ok(()), fs::create_dir_all)?;
+        fs::write(path, bytes)?;
+    }
+    Ok(())
+}
+
+/// What a campaign leaves: half done, and complete.
+struct CampaignSnapshots {
+    half_done: FolderContents,
+    complete: FolderContents,
+}
+
+/// Made once a process.
+fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
+    static GENUINE: OnceLock<Option<CampaignSnapshots>> = OnceLock::new();
+    let make = || {
+        let folder = tempfile::tempdir().ok()?;
+        let half_done = OnceLock::new();
+        let look = Listener(|progress: &CampaignProgress| {
+            if progress.evaluations > 0 {
+                half_done.get_or_init(|| read(folder.path()).ok());
+            }
+        });
+        campaign()?.run(folder.path(), CampaignOptions::default(), &look).ok()?;
+        Some(CampaignSnapshots { half_done: half_done.into_inner()??, complete: read(folder.path()).ok()? })
+    };
+    GENUINE.get_or_init(make).as_ref()
+}
+
+/// What was wrongly believed of a folder, or refused; none if nothing was. The first byte says whether its campaign was complete.
+///
+/// # Errors
+/// What the disk says, of which the target makes nothing.
+pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
+    let (Some(genuine), Some(campaign)) = (genuine(), campaign()) else {
+        return Ok(Some("the genuine campaign cannot be made".to_owned()));
+    };
+    let (base, bytes) = match bytes {
+        [first, rest @ ..] if first % 2 == 1 => (&genuine.half_done, rest),
+        [_, rest @ ..] => (&genuine.complete, rest),
+        [] => (&genuine.complete, bytes),
+    };
+    let contents = changed(base, bytes);
+    let folder = tempfile::tempdir()?;
+    write(folder.path(), &contents)?;
+    let examined = examine(folder.path());
+    let is_whole = |found: &Examined| found.complete && found.files.iter().all(|(_, state)| state.is_ok());
+    if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
+        return Ok(Some(format!("the examination is wrong about what is complete and whole: {examined:?}")));
+    }
+    match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
+        // Gone on with, it ends as the genuine one.
+        Ok(_) if read(folder.path())? != genuine.complete => {
+            Ok(Some("a campaign went on from what is not its own, to another end".to_owned()))
+        }
+        Err(error) if contents == *base => Ok(Some(format!("the genuine folder is refused: {error}"))),
+        _ => Ok(None),
+    }
+}

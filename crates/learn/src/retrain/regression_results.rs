@@ -1,0 +1,62 @@
+//! Where a policy stands: what it does in everything that a round must not make worse.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::RetrainError;
+use super::corpus::{Corpus, drive};
+use super::plan::{NOMINAL_SEED, RetrainingPlan};
+use super::regression_spaces::{RegressionSpaceResult, RegressionSpaces};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::Policy;
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
+use crumple_world::sim::ControllerKind;
+
+/// Everything in which a policy touches a vehicle.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RegressionResults {
+    /// The paper's scenarios, each with the estimator through which it happens.
+    pub paper: Vec<String>,
+    /// Draws of the paper's distribution, by index.
+    pub nominal: Vec<u64>,
+    /// Draws kept aside, by index.
+    #[serde(rename = "kept_aside")]
+    pub validation_set: Vec<u64>,
+    /// Draws of each regression space.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub regression: Vec<RegressionSpaceResult>,
+}
+
+impl RegressionResults {
+    /// Drives a policy through all of it.
+    pub(super) fn evaluate(
+        policy: &Arc<Policy>,
+        plan: &RetrainingPlan,
+        kept_aside: &Corpus,
+        regression: &RegressionSpaces,
+    ) -> Result<Self, RetrainError> {
+        let controller = ControllerKind::Policy(Arc::clone(policy));
+        let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
+            let contacts = drive(scenarios, &controller, estimator)?;
+            Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
+        };
+        let names = built_in_names().map(|(name, _)| name);
+        let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in(name)).collect();
+        let mut paper = Vec::new();
+        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+            let found = touched(&scenarios, estimator)?;
+            paper.extend(
+                found.iter().filter_map(|&place| Some(format!("{} ({})", names.get(place)?, estimator.name()))),
+            );
+        }
+        let draws = PaperDistribution { seed: NOMINAL_SEED };
+        let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
+        let nominal = touched(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
+        let indices: Vec<u64> = kept_aside.indices().collect();
+        let aside = touched(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
+        let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
+        Ok(Self { paper, nominal, kept_aside, regression: regression.driven_by(&controller)? })
+    }
+}

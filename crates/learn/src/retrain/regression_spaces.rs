@@ -1,0 +1,159 @@
+//! Spaces in which a round must not make a policy worse.
+
+use serde::{Deserialize, Serialize};
+
+use super::RetrainError;
+use super::plan::{REGRESSION_SEED, RetrainingPlan};
+use crate::rl::usefulness;
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Usefulness;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
+
+/// Significance of the test by which a policy is worse in a regression space: where it is no worse, it is found to be with a
+/// probability of at most this, for each space and each of contacts and usefulness.
+pub const SIGNIFICANCE: f64 = 0.01;
+
+/// Draws that are driven together: each keeps its motion.
+const BATCH_SIZE: usize = 100;
+
+/// What a policy did in draws of a regression space.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RegressionSpaceResult {
+    /// Name of the space.
+    pub space: String,
+    /// Draws.
+    pub draws: u64,
+    /// Those that ended in contact, by index.
+    pub contacts: Vec<u64>,
+    /// Where `idm` touches nobody and never fails to be of use: those that ended in contact, with braking harder than 4 m/s²
+    /// where less than 3 m/s² had a cause, or with the vehicle left behind. None in other spaces: in an emergency such a brake
+    /// may be the way out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "of_no_use")]
+    pub not_useful: Option<Vec<u64>>,
+}
+
+/// The draws of all regression spaces, and in which of them there is nothing to fear.
+pub(super) struct RegressionSpaces {
+    estimator: EstimatorKind,
+    spaces: Vec<Drawn>,
+}
+
+struct RegressionSpace {
+    name: String,
+    draws: Vec<Scenario>,
+    checks_usefulness: bool,
+}
+
+impl RegressionSpaces {
+    pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
+        let mut spaces = Vec::new();
+        let idm = ControllerKind::from(ControllerSpec::Idm(Default::default()));
+        for space in &plan.regression {
+            let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
+            let mut drawn =
+                Drawn { name: space.name().to_owned(), draws: draws.collect::<Result<_, _>>()?, is_everyday: true };
+            let found = drawn.driven_by(&idm, plan.estimator())?;
+            drawn.is_everyday = found.of_no_use.is_some_and(|of_no_use| of_no_use.is_empty());
+            spaces.push(drawn);
+        }
+        Ok(Self { estimator: plan.estimator(), spaces })
+    }
+
+    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<Vec<RegressionSpaceResult>, RetrainError> {
+        self.spaces.iter().map(|space| space.driven_by(controller, self.estimator)).collect()
+    }
+}
+
+impl Drawn {
+    fn evaluate(&self, controller: &ControllerKind, estimator: EstimatorKind) -> Result<RegressionSpaceResult, RetrainError> {
+        let options = RunOptions::new(controller.clone()).with_estimator(estimator);
+        let level = if self.is_everyday { RecordingLevel::Trace } else { RecordingLevel::Summary };
+        let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
+        for (block, draws) in self.draws.chunks(BLOCK).enumerate() {
+            let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
+            let found = simulate_batch(&runs, level, |_, result| {
+                let touched = result.outcome.contact().is_some();
+                (touched, touched || usefulness(&result).is_some_and(is_of_no_use))
+            });
+            for (index, (touched, is_useless)) in found.into_iter().enumerate() {
+                let index = (block * BLOCK + index) as u64;
+                contacts.extend(touched.then_some(index));
+                of_no_use.extend(is_useless.then_some(index));
+            }
+        }
+        let of_no_use = self.is_everyday.then_some(of_no_use);
+        Ok(RegressionSpaceResult { space: self.name.clone(), draws: self.draws.len() as u64, contacts, of_no_use })
+    }
+}
+
+fn is_not_useful(found: Usefulness) -> bool {
+    !found.hard.is_none() || found.following.is_some_and(|following| following.left_behind)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::super::corpus::Corpus;
+    use super::super::test_set::witnesses;
+    use super::super::plan::{VALIDATION_SET_SEED, training_preset};
+    use super::super::{Acceptance, RejectionReason, Settings, Standing, rule};
+    use super::*;
+    use crumple_search::falsify::Method;
+    use crumple_world::policy::Policy;
+    use crumple_world::scenario::space::{BUILT_IN_SPACES, built_in_space, file};
+
+    /// A standing vehicle 40 to 120 m ahead of 10 to 80 km/h, and nobody behind.
+    const QUEUE: &str = include_str!("queue.toml");
+
+    /// What `retrained` was before products were fused.
+    const RUNS_INTO_STANDING: &[u8] = include_bytes!("runs-into-standing.safetensors");
+
+    /// An earlier `retrained` runs into standing vehicles and `policy` does not; in emergencies it is the other way round. Whoever retrains on
+    /// standing vehicles alone trades the one for the other.
+    #[test]
+    fn standing_vehicles_are_not_bought_with_emergencies() {
+        let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());
+        let plan = RetrainingPlan {
+            first: Arc::clone(&first),
+            first_name: "retrained".to_owned(),
+            space: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap(),
+            regression: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
+            training: training_preset().unwrap(),
+            method: Method::Uniform,
+            seed: 0,
+            settings: Settings { nominal: 20, regression: 60, ..Settings::default() },
+            picture: |_| String::new(),
+        };
+        let mut kept_aside = Corpus::begin(&plan.space, VALIDATION_SET_SEED).unwrap();
+        while kept_aside.avoidable < 60 {
+            kept_aside.grow(&plan.space, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
+        }
+        let regression = RegressionSpaces::new(&plan).unwrap();
+        let of = |policy: Arc<Policy>| Standing::of(&policy, &plan, &kept_aside, &regression).unwrap();
+        let (before, after) = (of(first), of(Policy::reference()));
+        assert!(
+            after.kept_aside.len() < before.kept_aside.len(),
+            "{} {}",
+            after.kept_aside.len(),
+            before.kept_aside.len()
+        );
+        let without = |standing: &Standing| Standing { regression: Vec::new(), ..standing.clone() };
+        assert_eq!(
+            rule(&without(&before), &without(&after)),
+            Acceptance::Accepted,
+            "seen from standing vehicles alone"
+        );
+        let Acceptance::Rejected { objections } = rule(&before, &after) else { panic!("accepted") };
+        let is_of_high_risk =
+            |reason: &RejectionReason| matches!(reason, RejectionReason::Worse { space, .. } if space == "high-risk");
+        assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
+        let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
+        assert!(traffic.of_no_use.as_ref().unwrap().len() > 30, "it is of no use in traffic");
+    }
+}

@@ -1,0 +1,155 @@
+//! Driving trainings: one to its end, and several side by side.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use serde::Serialize;
+
+use super::evaluation::{Evaluation, EvaluationSet};
+use super::trainer::{EpisodeRecord, Trainer, TrainingError};
+use crumple_core::observer::Observer;
+
+/// An event of a training.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum TrainingEvent {
+    /// An episode is over.
+    Episode(EpisodeRecord),
+    /// The actor was judged.
+    Evaluation {
+        /// Episodes done.
+        episode: u64,
+        /// Whether this is the best policy so far.
+        best: bool,
+        /// How it did.
+        result: Evaluation,
+    },
+}
+
+/// A keeper of what a training produces.
+pub(crate) trait TrainingRecorder<E> {
+    /// Receives all events, in order.
+    ///
+    /// # Errors
+    /// A reason to stop the training.
+    fn record(&mut self, event: &TrainingEvent) -> Result<(), E>;
+
+    /// Called between episodes where a checkpoint makes sense, and after the last one: before it is judged, where it is judged only because
+    /// it is the last.
+    ///
+    /// # Errors
+    /// A reason to stop the training.
+    fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), E>;
+}
+
+/// Evaluations between checkpoints: rarely enough to cost nothing, often enough to lose less than a minute.
+const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
+
+/// A recorder that keeps nothing and passes the events on.
+struct ForwardingRecorder<'a>(&'a dyn Observer<TrainingEvent>);
+
+impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
+    fn record(&mut self, event: &TrainingEvent) -> Result<(), TrainingError> {
+        Ok(self.0.notify(event)?)
+    }
+
+    fn checkpoint(&mut self, _: &Trainer) -> Result<(), TrainingError> {
+        Ok(())
+    }
+}
+
+/// Trains until the last episode of the configuration. [`TrainingFolder`](super::TrainingFolder) does so in a folder, with checkpoints.
+///
+/// # Errors
+/// [`TrainingError`] if the training diverges, a scenario cannot be run, or `observer` stops it.
+///
+/// ```no_run
+/// use crumple_core::observer::Quiet;
+/// use crumple_learn::rl::{HeldOut, Trainer, TrainingConfig, train};
+///
+/// let config = TrainingConfig::preset("fast").unwrap();
+/// let held_out = HeldOut::new(&config.evaluation, &config.environment);
+/// let mut trainer = Trainer::new(&config, 1);
+/// train(&mut trainer, &held_out, &Quiet).unwrap();
+/// println!("{}", trainer.policy().unwrap().digest());
+/// ```
+pub fn train(trainer: &mut Trainer, held_out: &EvaluationSet, observer: &dyn Observer<TrainingEvent>) -> Result<(), TrainingError> {
+    train_recorded(trainer, held_out, &mut ForwardingRecorder(observer))
+}
+
+/// Trains until the last episode, and passes events and checkpoints to `recorder`.
+///
+/// # Errors
+/// [`TrainingError`], or what the recorder returns.
+pub(crate) fn train_with_recorder<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    recorder: &mut impl TrainingRecorder<E>,
+) -> Result<(), E> {
+    // The untrained policy is judged first: what training is worth shows against it.
+    if trainer.episode() == 0 {
+        judge(trainer, held_out, recorder)?;
+    }
+    while !trainer.is_done() {
+        let record = trainer.run_episode()?;
+        recorder.record(&TrainingEvent::Episode(record))?;
+        if trainer.is_evaluation_episode(trainer.episode()) {
+            judge(trainer, held_out, recorder)?;
+        }
+        let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
+        if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
+            recorder.checkpoint(trainer)?;
+        }
+    }
+    recorder.checkpoint(trainer)?;
+    // A training that ends between two evaluations is judged there besides. A longer one is not, and goes on from before that.
+    if trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
+        judge(trainer, held_out, recorder)?;
+    }
+    Ok(())
+}
+
+fn evaluate_and_record<E: From<TrainingError>>(
+    trainer: &mut Trainer,
+    held_out: &EvaluationSet,
+    recorder: &mut impl TrainingRecorder<E>,
+) -> Result<(), E> {
+    let result = trainer.evaluate(held_out)?;
+    let episode = trainer.episode();
+    let best = trainer.best().is_some_and(|best| best.episode == episode);
+    recorder.record(&TrainingEvent::Evaluation { episode, best, result })
+}
+
+/// Does `work` for each item on `threads` threads, one item a thread at a time, and returns the results in order.
+///
+/// Each item has a pool of its own: whatever runs in parallel inside `work` stays in it, and no training waits for another.
+/// Threads that have no item of their own from the start join the pools of the others.
+pub fn parallel_map<I: Sync, R: Send>(items: &[I], threads: usize, work: impl Fn(&I) -> R + Sync) -> Vec<R> {
+    let at_once = threads.clamp(1, items.len().max(1));
+    let next = AtomicUsize::new(0);
+    let results: Mutex<Vec<(usize, R)>> = Mutex::new(Vec::with_capacity(items.len()));
+    let take_turns = || {
+        while let Some((index, item)) = {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            items.get(index).map(|item| (index, item))
+        } {
+            let result = work(item);
+            results.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
+        }
+    };
+    std::thread::scope(|scope| {
+        let take_turns = &take_turns;
+        for place in 0..at_once {
+            let share = threads.max(1) / at_once + usize::from(place < threads % at_once);
+            scope.spawn(move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
+                Ok(pool) => pool.install(take_turns),
+                // Without a pool of its own the thread uses the common one: slower, with the same results.
+                Err(_) => take_turns(),
+            });
+        }
+    });
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_unstable_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
+}

@@ -1,0 +1,155 @@
+//! Whether a policy is of use: everyday traffic, driven without noise, beside what `idm` does in it.
+
+use serde::{Deserialize, Serialize};
+
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Usefulness;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+
+use super::source::EGO;
+
+/// Root mean squares of acceleration and jerk may be this many times those of `idm`.
+const MAX_RATIO_TO_IDM: f64 = 1.25;
+/// Mean time gaps that are neither too close nor in the way of others, in seconds.
+const TIME_GAP_RANGE_S: [f64; 2] = [1.2, 2.0];
+/// What an excess of comfort or distance counts, relative to as many drives with a fault.
+const EXCESS_WEIGHT: f64 = 0.05;
+
+/// What a controller did in draws of everyday traffic.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrafficUsefulness {
+    /// Draws.
+    pub drives: u64,
+    /// Those that ended in contact.
+    pub contacts: u64,
+    /// Those with braking harder than 4 m/s² where less than 3 m/s² had a cause.
+    #[serde(rename = "hard")]
+    pub hard_braking: u64,
+    /// Those in which it ended at less than half the speed of the vehicle ahead.
+    pub left_behind: u64,
+    /// Root mean square of acceleration over all drives, relative to that of `idm`.
+    pub acceleration_times_idm: f64,
+    /// The same of jerk.
+    pub jerk_times_idm: f64,
+    /// Mean time gap, in seconds; 0 if it never moved.
+    pub mean_time_gap_s: f64,
+}
+
+impl TrafficUsefulness {
+    /// How far it is from being of use: the share of drives with a fault, and a little for discomfort and for keeping the wrong
+    /// distance. 0 is best.
+    #[must_use]
+    pub(crate) fn penalty(&self) -> f64 {
+        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
+        let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
+        let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
+        let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
+        (self.contacts + self.hard + self.left_behind) as f64 / self.drives.max(1) as f64 + EXCESS_WEIGHT * excess
+    }
+}
+
+/// Draws of everyday traffic, and what `idm` does in them.
+#[derive(Debug, Clone)]
+pub(super) struct TrafficBenchmark {
+    draws: Vec<Scenario>,
+    estimator: EstimatorKind,
+    idm_rms: [f64; 2],
+}
+
+impl TrafficBenchmark {
+    /// The first draws of the built-in space `traffic` by a seed.
+    pub(super) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
+        let space = built_in_space("traffic");
+        let draws =
+            space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
+        let mut traffic = Self { draws, estimator, idm: [1.0; 2] };
+        let idm = traffic.sums(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
+        traffic.idm = idm.rms();
+        Ok(traffic)
+    }
+
+    /// Drives a controller through all of them.
+    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
+        let sums = self.sums(controller)?;
+        let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm);
+        Ok(TrafficUsefulness {
+            drives: sums.drives,
+            contacts: sums.contacts,
+            hard: sums.hard,
+            left_behind: sums.left_behind,
+            acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
+            jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
+            mean_time_gap_s: sums.time_gap_s / sums.moved.max(1) as f64,
+        })
+    }
+
+    fn simulate(&self, controller: &ControllerKind) -> Result<TrafficTotals, RunError> {
+        let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
+        let runs =
+            self.draws.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+        let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+            (result.outcome.contact().is_some(), usefulness(&result))
+        });
+        let mut sums = TrafficTotals::default();
+        each.into_iter().for_each(|(touched, found)| sums.add(touched, found));
+        Ok(sums)
+    }
+}
+
+/// What the driving of a run was of use for; none without its trace.
+pub(crate) fn measure_usefulness(result: &Simulated) -> Option<Usefulness> {
+    Usefulness::of(result.trace.as_ref()?, &result.impacts, EGO)
+}
+
+#[derive(Default)]
+struct TrafficTotals {
+    drives: u64,
+    contacts: u64,
+    hard_braking: u64,
+    left_behind: u64,
+    sum_squares: [f64; 2],
+    time_gap_sum_s: f64,
+    moving_drives: u64,
+}
+
+impl TrafficTotals {
+    fn add(&mut self, touched: bool, found: Option<Usefulness>) {
+        self.drives += 1;
+        self.contacts += u64::from(touched);
+        let Some(found) = found else { return };
+        self.hard += u64::from(!found.hard.is_none());
+        self.squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+        self.squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+        let Some(following) = found.following else { return };
+        self.left_behind += u64::from(following.left_behind);
+        if let Some(time_gap_s) = following.mean_time_gap_s {
+            self.time_gap_s += time_gap_s;
+            self.moved += 1;
+        }
+    }
+
+    fn rms(&self) -> [f64; 2] {
+        self.squares.map(|sum| (sum / self.drives.max(1) as f64).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::policy::Policy;
+
+    #[test]
+    fn idm_is_of_use_and_the_reference_policy_is_not() {
+        let traffic = TrafficBenchmark::new(3, 40, EstimatorKind::Kalman).unwrap();
+        let idm = traffic.driven_by(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
+        assert_eq!((idm.contacts, idm.hard, idm.left_behind), (0, 0, 0));
+        assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
+        assert!(idm.fault() < 0.02, "{idm:?}");
+        let policy = traffic.driven_by(&ControllerKind::Policy(Policy::reference())).unwrap();
+        assert!(policy.fault() > 0.3 && policy.left_behind > 0, "{policy:?}");
+    }
+}

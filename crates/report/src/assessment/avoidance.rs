@@ -1,0 +1,154 @@
+//! The best escape found from a scenario, and how far a controller stays behind.
+
+use serde::{Deserialize, Serialize};
+
+use super::gather_context::Work;
+use super::{Case, Rounded, StoreError};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, is_about};
+use crumple_verify::{Accepted, Certificate, check};
+use crumple_world::scenario::{Scenario, file};
+
+/// Whether a contact was avoidable for any driver, and by how much.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum RoundedAvoidance {
+    /// There is a profile without contact, which was replayed.
+    Avoidable {
+        /// The largest smallest gap that was reached, between any two vehicles, in metres, rounded down.
+        min_gap_m: Rounded<2>,
+        /// No driver keeps a larger smallest gap, in metres, rounded up.
+        min_gap_bound_m: Option<Rounded<2>>,
+        /// Whether there is a certificate of that, which the checker has accepted.
+        min_gap_bound_is_certified: bool,
+        /// When the emergency brake of the follower fires on that profile, in seconds.
+        follower_brakes_s: Option<Rounded<2>>,
+    },
+    /// No driver avoids a contact; the checker has accepted the proof.
+    Unavoidable,
+    /// Neither was shown.
+    Undecided {
+        /// Why.
+        reason: String,
+    },
+}
+
+impl RoundedAvoidance {
+    /// The best, without a certificate of its bound.
+    pub(super) fn compute(scenario: &Scenario) -> Self {
+        CertifiedAvoidance::find(scenario, AvoidOptions::default()).best
+    }
+
+    fn from_avoidance(Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance) -> Self {
+        match verdict {
+            AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
+                min_gap_m: Rounded::down(escape.min_gap_m),
+                min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
+                min_gap_bound_is_certified: bound_certificate.is_some(),
+                follower_brakes_s: escape.trigger_time_s().map(Rounded::new),
+            },
+            AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
+            AvoidanceVerdict::Undecided(reason) => Self::Undecided { reason: reason.to_string() },
+        }
+    }
+
+    /// How much more of the smallest gap the best escape found kept than the controller of a case, from the numbers as they are
+    /// shown; none if none was found, or if others crashed first. Zero for a controller that did better than the
+    /// profile that was found, which can only be within its grid.
+    pub(super) fn regret_m(&self, case: &Case) -> Option<Rounded<2>> {
+        match self {
+            Self::Avoidable { min_gap_m, .. } if case.verdict.counts() => {
+                Some(Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)))
+            }
+            _ => None,
+        }
+    }
+
+    /// In a sentence.
+    pub(super) fn describe(&self) -> String {
+        match self {
+            Self::Avoidable { min_gap_m, min_gap_bound_m, min_gap_bound_is_certified, follower_brakes_s } => {
+                let fires =
+                    follower_brakes_s.map(|time_s| format!(", firing the follower's emergency brake at {time_s} s"));
+                let by = if *min_gap_bound_is_certified {
+                    "and the checker has accepted the proof"
+                } else {
+                    "by a computed bound without a certificate"
+                };
+                let bound = min_gap_bound_m.map(|bound_m| format!("; nobody keeps more than {bound_m} m, {by}"));
+                format!(
+                    "Avoidable: the best escape found keeps a smallest gap of {min_gap_m} m{}{}.",
+                    fires.unwrap_or_default(),
+                    bound.unwrap_or_default()
+                )
+            }
+            Self::Unavoidable => {
+                "Unavoidable: whatever is done, vehicles touch; the checker has accepted the proof.".to_owned()
+            }
+            Self::Undecided { reason } => format!("Undecided whether anyone could have avoided a contact: {reason}."),
+        }
+    }
+
+    /// In a word or two, for a cell.
+    pub(super) fn label(&self) -> String {
+        match self {
+            Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
+            Self::Unavoidable => "unavoidable".to_owned(),
+            Self::Undecided { .. } => "undecided".to_owned(),
+        }
+    }
+}
+
+/// The best of a scenario, and the certificate of what is said there of every driver.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct CertifiedAvoidance {
+    #[serde(rename = "best")]
+    pub(super) avoidance: RoundedAvoidance,
+    pub(super) certificate: Option<Certificate>,
+}
+
+impl CertifiedAvoidance {
+    /// That of a scenario, computed only if no earlier run has kept it: then the checker looks at it again.
+    pub(super) fn load_or_compute(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
+        let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
+        let find = || Self::find(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
+        let found: Self =
+            work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, StoreError>(find()))?;
+        Ok(if found.holds(scenario) { found } else { find() })
+    }
+
+    fn compute(scenario: &Scenario, options: AvoidOptions) -> Self {
+        match avoid(scenario, options) {
+            Ok(avoidance) => {
+                let best = RoundedAvoidance::read(&avoidance);
+                let certificate = match avoidance.verdict {
+                    AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
+                    AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => avoidance.bound_certificate,
+                };
+                Self { best, certificate: certificate.map(|certificate| *certificate) }
+            }
+            Err(error) => Self { best: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None },
+        }
+    }
+
+    /// Whether what it says of every driver is what its certificate shows.
+    fn is_valid_for(&self, scenario: &Scenario) -> bool {
+        let shown = self.certificate.as_ref().map(|certificate| (check(certificate), is_about(certificate, scenario)));
+        match (&self.best, shown) {
+            (RoundedAvoidance::Unavoidable, shown) => matches!(shown, Some((Ok(Accepted::Unavoidable { .. }), true))),
+            (RoundedAvoidance::Avoidable { min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, .. }, shown) => {
+                matches!(shown, Some((Ok(Accepted::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
+            }
+            (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => shown.is_none(),
+        }
+    }
+}
+
+/// What the numbers are, and how they relate.
+pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a profile for the vehicles under test, from \
+    convex programming with knowledge of the future, held over steps of 0.1 s (or finer, where those do not decide), and \
+    replayed by the simulation; one on a finer grid may keep more. A controller's regret is its smallest gap less the controller's \
+    own, ahead or behind. The bound beside it comes from the multipliers of those programs and is of every driver; where it has a \
+    certificate (`crumple avoid --bound-certificate` writes it, too), regret understates what was lost by no more than the distance between \
+    the two.";

@@ -1,0 +1,356 @@
+//! Evidence kept between runs: what has not changed is not gathered again.
+//!
+//! Every piece of evidence has a name and depends on stated inputs. It is kept in a file of its own under the SHA-256 of the
+//! program, the name and the inputs, so that whatever changes makes another file, and an assessment that was interrupted goes
+//! on where it stopped. The file holds the hash of what it keeps; one that was cut, edited or swapped is gathered again, and
+//! named. One assessment at a time works with a folder.
+//!
+//! This is integrity, not secrecy: somebody who writes numbers and hashes anew is believed, whence `--fresh`. Nothing that the
+//! checker can decide is kept: certificates are checked in every run.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::figure_layout::slug;
+use crumple_core::digest::sha256;
+use crumple_store::disk::{self, DiskError};
+use crumple_store::gather_context::FolderLock;
+
+/// A piece of evidence: its name, what it depends on, and what it says, as hashes.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EvidenceHash {
+    /// Which evidence.
+    pub name: String,
+    /// SHA-256 of what it depends on, without the program.
+    pub inputs_sha256: String,
+    /// SHA-256 of the evidence itself, as JSON.
+    pub evidence_sha256: String,
+}
+
+/// The longest file of evidence that is read: the longest of the built-in assessment is not a hundredth of it.
+const MAX_ENTRY_BYTES: u64 = 256 << 20;
+
+/// Where evidence is kept, if it is.
+#[derive(Debug, Default)]
+pub struct EvidenceCache {
+    folder: Option<PathBuf>,
+    program: String,
+    is_fresh: bool,
+    log: Mutex<CacheLog>,
+    _lock: Option<FolderLock>,
+}
+
+#[derive(Debug, Default)]
+struct CacheLog {
+    hashes: Vec<EvidenceHash>,
+    reused_count: usize,
+    damaged_files: Vec<PathBuf>,
+}
+
+/// Why evidence cannot be kept.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CacheError {
+    /// A file or folder cannot be read or written.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    /// Another process is at work there.
+    #[error("{}: another assessment is under way there", .0.display())]
+    InUse(PathBuf),
+    /// Evidence, or what it depends on, cannot be encoded.
+    #[error("cannot encode a piece of evidence: {0}")]
+    Encoding(String),
+}
+
+impl CacheError {
+    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+}
+
+/// A folder to work in.
+#[derive(Debug)]
+pub(super) struct ScratchFolder {
+    path: PathBuf,
+    /// Removes itself.
+    _temporary: Option<tempfile::TempDir>,
+}
+
+impl ScratchFolder {
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Once the evidence is complete.
+    pub(super) fn remove(self) -> Result<(), CacheError> {
+        Ok(fs::remove_dir_all(&self.path).map_err(DiskError::at(&self.path))?)
+    }
+}
+
+/// What a file holds. Hashes guard against files that were cut, edited or moved, not against an author who recomputes them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub(super) struct CacheEntry {
+    name: String,
+    inputs_sha256: String,
+    program: String,
+    evidence_sha256: String,
+    evidence: String,
+}
+
+impl CacheEntry {
+    /// Whether it is as a program gathered it.
+    pub(super) fn is_intact(&self, program: &str) -> bool {
+        self.program == program && sha256(&self.evidence) == self.evidence_sha256
+    }
+}
+
+impl EvidenceCache {
+    /// Keeps nothing.
+    #[must_use]
+    pub fn disabled() -> Self {
+        Self::default()
+    }
+
+    /// Keeps evidence in `folder`, which is made if it is not there. `program` stands for everything that could make the same
+    /// inputs give other evidence: the hash of the executable. What is there is not looked at if all is to be gathered
+    /// `fresh`.
+    ///
+    /// # Errors
+    /// [`CacheError`] if the folder cannot be made, or is in use.
+    pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, CacheError> {
+        disk::make_folder(folder)?;
+        let lock = FolderLock::of(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
+        Ok(Self {
+            folder: Some(folder.to_owned()),
+            program: program.to_owned(),
+            fresh,
+            gathered: Mutex::default(),
+            _lock: Some(lock),
+        })
+    }
+
+    /// The evidence of that name if what it depends on is as it was; otherwise what `gather` says.
+    ///
+    /// # Errors
+    /// The error of `gather`, or [`CacheError`].
+    pub(super) fn get_or_gather<T, E>(
+        &self,
+        name: &str,
+        inputs: &impl Serialize,
+        gather: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, E>
+    where
+        T: Serialize + DeserializeOwned,
+        E: From<CacheError>,
+    {
+        let inputs_sha256 = sha256(text(inputs)?);
+        let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
+        let path = self.folder.as_ref().map(|folder| folder.join(file));
+        if let Some((evidence, value)) =
+            path.as_deref().filter(|_| !self.fresh).and_then(|path| self.read(path, name, &inputs_sha256))
+        {
+            self.note(name, inputs_sha256, &evidence, true);
+            return Ok(value);
+        }
+        let value = gather()?;
+        let evidence = text(&value)?;
+        if let Some(path) = path {
+            let kept = CacheEntry {
+                name: name.to_owned(),
+                inputs_sha256: inputs_sha256.clone(),
+                program: self.program.clone(),
+                evidence_sha256: sha256(&evidence),
+                evidence: evidence.clone(),
+            };
+            disk::write(&path, text(&kept)?).map_err(CacheError::from)?;
+        }
+        self.note(name, inputs_sha256, &evidence, false);
+        Ok(value)
+    }
+
+    /// A folder in which the evidence of that name is gathered: what an interrupted run left in it is still there, unless all is
+    /// gathered afresh.
+    ///
+    /// # Errors
+    /// [`CacheError`] if it cannot be made.
+    pub(super) fn scratch_folder(&self, name: &str, inputs: &impl Serialize) -> Result<ScratchFolder, CacheError> {
+        let Some(folder) = &self.folder else {
+            let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
+            return Ok(ScratchFolder { path: made.path().to_owned(), _temporary: Some(made) });
+        };
+        let path = folder.join(self.file_stem(name, &sha256(text(inputs)?)));
+        // What is gathered afresh rests on nothing that was there.
+        if self.fresh && path.is_dir() {
+            fs::remove_dir_all(&path).map_err(DiskError::at(&path))?;
+        }
+        disk::make_folder(&path)?;
+        Ok(ScratchFolder { path, _temporary: None })
+    }
+
+    /// All evidence so far, as it is kept, in the order of names.
+    pub(super) fn entries(&self) -> Result<Vec<CacheEntry>, CacheError> {
+        let Some(folder) = &self.folder else { return Ok(Vec::new()) };
+        let mut hashes = self.hashes();
+        hashes.dedup();
+        let read = |hash: &EvidenceHash| {
+            let path = folder.join(format!("{}.json", self.file_stem(&hash.name, &hash.inputs_sha256)));
+            let text = fs::read_to_string(&path).map_err(DiskError::at(&path))?;
+            serde_json::from_str(&text).map_err(CacheError::encoding)
+        };
+        hashes.iter().map(read).collect()
+    }
+
+    /// Keeps evidence that was gathered elsewhere. Says how many pieces that is.
+    pub(super) fn insert(&self, kept: &CacheEntry) -> Result<usize, CacheError> {
+        let Some(folder) = &self.folder else { return Ok(0) };
+        let path = folder.join(format!("{}.json", self.file_stem(&kept.name, &kept.inputs_sha256)));
+        disk::write(&path, text(kept)?)?;
+        Ok(1)
+    }
+
+    fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
+        let key = sha256(format!("{}\n{name}\n{inputs_sha256}", self.program));
+        format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())
+    }
+
+    /// The text of the evidence and its value, if there is a file and it is what its name says.
+    fn read_entry<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+        let found = fs::symlink_metadata(path).ok()?;
+        let is_plain = found.is_file() && found.len() <= MOST_BYTES;
+        let value = is_plain.then(|| self.believed(path, name, inputs_sha256)).flatten();
+        if value.is_none() {
+            self.locked().damaged.push(path.to_owned());
+        }
+        value
+    }
+
+    fn read_verified<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
+        let kept: CacheEntry = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+        let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
+        let value = (is_asked_for && kept.is_sound(&self.program))
+            .then(|| serde_json::from_str(&kept.evidence).ok())
+            .flatten()?;
+        Some((kept.evidence, value))
+    }
+
+    fn record(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
+        let hash = EvidenceHash { name: name.to_owned(), inputs_sha256, evidence_sha256: sha256(evidence) };
+        let mut gathered = self.locked();
+        gathered.hashes.push(hash);
+        gathered.reused += usize::from(reused);
+    }
+
+    /// Hashes of all evidence so far, by name.
+    pub(super) fn hashes(&self) -> Vec<EvidenceHash> {
+        let mut hashes = self.locked().hashes.clone();
+        hashes.sort();
+        hashes
+    }
+
+    /// How many pieces of evidence there are, and how many of them were kept from earlier.
+    #[must_use]
+    pub fn reuse_counts(&self) -> (usize, usize) {
+        let gathered = self.locked();
+        (gathered.hashes.len(), gathered.reused)
+    }
+
+    /// Files that were not what they should have been, whose evidence was gathered again.
+    #[must_use]
+    pub fn damaged_files(&self) -> Vec<PathBuf> {
+        self.locked().damaged.clone()
+    }
+
+    fn lock_log(&self) -> MutexGuard<'_, CacheLog> {
+        // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
+        self.gathered.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn to_json(value: &impl Serialize) -> Result<String, CacheError> {
+    serde_json::to_string(value).map_err(CacheError::encoding)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn get(store: &EvidenceCache, inputs: &str, value: f64) -> f64 {
+        store.get::<_, CacheError>("a piece", &inputs, || Ok(value)).unwrap()
+    }
+
+    #[test]
+    fn evidence_is_gathered_again_once_anything_about_it_has_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = |program, fresh| EvidenceCache::open(folder.path(), program, fresh).unwrap();
+        {
+            let store = open("program", false);
+            assert!(matches!(EvidenceCache::open(folder.path(), "program", false), Err(CacheError::InUse(_))));
+            assert_eq!((get(&store, "inputs", 0.1), get(&store, "inputs", 0.2)), (0.1, 0.1));
+            assert_eq!(get(&store, "other inputs", 0.3), 0.3);
+            assert_eq!((store.reused(), store.damaged().len()), ((3, 1), 0));
+        }
+        assert_eq!(get(&open("other program", false), "inputs", 0.4), 0.4);
+        for file in fs::read_dir(folder.path()).unwrap() {
+            let path = file.unwrap().path();
+            fs::write(&path, fs::read_to_string(&path).unwrap().replace("0.1", "0.9")).unwrap();
+        }
+        assert_eq!(get(&open("program", false), "inputs", 0.5), 0.5, "altered evidence is not believed");
+        assert_eq!(get(&EvidenceCache::none(), "inputs", 0.6), 0.6);
+        assert_eq!(get(&open("program", true), "inputs", 0.7), 0.7);
+        let store = open("program", false);
+        let [one, other] = ["inputs", "other inputs"].map(|inputs| {
+            folder.path().join(format!("{}.json", store.file_stem("a piece", &sha256(text(&inputs).unwrap()))))
+        });
+        fs::copy(&other, &one).unwrap();
+        assert_eq!(get(&store, "inputs", 0.8), 0.8, "evidence from other inputs is not believed");
+    }
+
+    /// Every byte of every file changed, every length of it, its absence, and each other file in its place: none is believed, and what
+    /// is gathered again makes the same file.
+    #[test]
+    fn no_damage_is_believed() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = ["a piece", "another", "a third"];
+        let gather = |name: &str| {
+            let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
+            let value = store.get::<_, CacheError>(name, &"inputs", || Ok(format!("says {name}"))).unwrap();
+            assert_eq!(value, format!("says {name}"));
+            store.reused() == (1, 1)
+        };
+        names.into_iter().for_each(|name| assert!(!gather(name)));
+        names.into_iter().for_each(|name| assert!(gather(name)));
+        let path = |name: &str| {
+            let store = EvidenceCache::open(folder.path(), "program", false).unwrap();
+            folder.path().join(store.file_stem(name, &sha256(text(&"inputs").unwrap())) + ".json")
+        };
+        let genuine = names.map(|name| fs::read(path(name)).unwrap());
+        for (name, bytes) in names.into_iter().zip(&genuine) {
+            let path = path(name);
+            let is_gathered_again = |what: &str| {
+                assert!(!gather(name), "{name}, {what}: believed");
+                assert_eq!(fs::read(&path).unwrap(), *bytes, "{name}, {what}: another file");
+            };
+            for place in 0..bytes.len() {
+                let mut changed = bytes.clone();
+                changed[place] ^= 1 << (place % 8);
+                fs::write(&path, changed).unwrap();
+                is_gathered_again("flipped");
+                fs::write(&path, &bytes[..place]).unwrap();
+                is_gathered_again("cut");
+            }
+            for other in genuine.iter().filter(|other| *other != bytes) {
+                fs::write(&path, other).unwrap();
+                is_gathered_again("swapped");
+            }
+            fs::remove_file(&path).unwrap();
+            is_gathered_again("removed");
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! The rules by which evidence speaks for claims that it does not equal.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Claim, Evidence, Property, Strength};
+
+/// How evidence speaks for a claim. There is no other way; least of all by a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum InferenceRule {
+    /// It is the claim's own.
+    #[serde(rename = "own")]
+    Direct,
+    /// A run in a part of the domain refutes what is said of every run of the whole.
+    RefutedInPart,
+    /// What refutes a weaker property refutes the stronger one.
+    RefutedByWeaker,
+    /// What is proved holds in every part of the domain, and of weaker properties.
+    ProofCovers,
+    /// Proofs of all parts prove the whole.
+    ProofsOfParts,
+    /// Bounds on a rate decide every claim about it.
+    BoundsDecide,
+}
+
+impl InferenceRule {
+    /// All rules but the first, in the order of the report.
+    pub const DERIVED: [Self; 5] =
+        [Self::RefutedInPart, Self::RefutedByWeaker, Self::ProofCovers, Self::ProofsOfParts, Self::BoundsDecide];
+
+    /// The rule in a sentence.
+    #[must_use]
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::Own => {
+                "Evidence speaks for the claim that it equals: the same controller by its hash, estimator, property and domain."
+            }
+            Self::RefutedInPart => {
+                "A run that refutes a claim about every run in one part of a domain (draws of a space, points that a search tried, \
+                 some of the scenarios) refutes it in the whole."
+            }
+            Self::RefutedByWeaker => "A contact with the vehicle ahead refutes \"no contact\" as well.",
+            Self::ProofCovers => {
+                "What is proved of a domain is proved of its parts; \"no contact\", proved, is proved of the vehicle ahead."
+            }
+            Self::ProofsOfParts => "Scenarios of which each is proved are proved together.",
+            Self::BoundsDecide => {
+                "Bounds on the share of failures decide a claim about that share: above it, below it, or neither. Of several the one \
+                 decides that was fixed before anything was counted: the highest confidence, then the most runs; so it is with \
+                 counts that show which of two fails less often. One that refutes is always shown."
+            }
+        }
+    }
+
+    /// What `evidence` says of `claim`, and by which rule; nothing if it says nothing.
+    pub(super) fn apply(evidence: &Evidence, claim: &Claim) -> Option<(Self, Strength)> {
+        let (own, strength) = (&evidence.claim, &evidence.strength);
+        if own.subject != claim.subject || *strength == Strength::Untried {
+            return None;
+        }
+        if own.domain == claim.domain && own.property == claim.property {
+            return Some((Self::Own, strength.clone()));
+        }
+        if let (Property::FailureRate, Property::RateAtMost { percent }) = (&own.property, &claim.property) {
+            let decided = (own.domain == claim.domain).then(|| strength.of_rate(percent.value()))??;
+            return Some((Self::BoundsDecide, decided));
+        }
+        if !own.property.is_universal() || !claim.property.is_universal() {
+            return None;
+        }
+        if strength.is_refutation() && claim.property.implies(&own.property) && claim.domain.covers(&own.domain) {
+            let rule = if own.property == claim.property { Self::RefutedInPart } else { Self::RefutedByWeaker };
+            return Some((rule, strength.clone()));
+        }
+        let is_proof = matches!(strength, Strength::Proved { .. });
+        if is_proof && own.property.implies(&claim.property) && own.domain.covers(&claim.domain) {
+            return Some((Self::ProofCovers, strength.clone()));
+        }
+        None
+    }
+}

@@ -1,0 +1,81 @@
+//! The evidence of a plan in pieces that can be gathered alone, anywhere, and that the assessment then does not gather again.
+//!
+//! Runs of single scenarios are not kept in the store, so they are no pieces. A new kind of evidence has to be a piece here, too.
+
+use super::avoidance::CertifiedAvoidance;
+use super::parts::{
+    Distribution, FailureMaps, PaperScenarios, SpecificationSearchPlan, Search, Traffic, Usefulness, WorstProfile, WorstProfiles,
+    count_one, counted_names, run_suite,
+};
+use super::gather_context::Work;
+use super::{AssessError, AssessmentPlan};
+use crumple_core::digest::sha256;
+
+type GatherFn<'p> = Box<dyn Fn(&Work<'_>) -> Result<(), AssessError> + 'p>;
+
+/// A piece of evidence that can be gathered alone.
+pub(super) struct EvidenceTask<'p> {
+    /// Name, unique in a plan.
+    pub(super) name: String,
+    gather: GatherFn<'p>,
+}
+
+impl EvidenceTask<'_> {
+    /// Gathers the evidence into the store.
+    pub(super) fn gather(&self, work: &Work<'_>) -> Result<(), AssessError> {
+        (self.gather)(work)
+    }
+}
+
+/// Returns all pieces of a plan, in an order that scatters the slow ones.
+pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<EvidenceTask<'p>>, AssessError> {
+    let mut all: Vec<EvidenceTask<'p>> = Vec::new();
+    let mut add = |name: String, gather: GatherFn<'p>| {
+        all.push(EvidenceTask { name, gather });
+    };
+    for scenario in PaperScenarios::scenarios(plan)? {
+        let name = format!("best of {}", scenario.spec().name);
+        add(name, Box::new(move |work| Ok(CertifiedAvoidance::kept(&scenario, work).map(drop)?)));
+    }
+    for named in &plan.distributions {
+        add(
+            format!("draws of {}", named.name),
+            Box::new(move |work| Distribution::gather(plan, named, work).map(drop)),
+        );
+    }
+    if !plan.traffic.is_empty() {
+        add("scenarios from files".to_owned(), Box::new(move |work| Traffic::gather(plan, work).map(drop)));
+    }
+    for named in &plan.spaces {
+        for one in plan.controllers.iter().enumerate() {
+            let name = format!("search {} in {}", one.1.name, named.name);
+            add(name, Box::new(move |work| Search::gather(plan, named, one, work).map(drop)));
+        }
+    }
+    if let Some((scenario, envelope)) = WorstProfiles::scenario(plan)? {
+        for controller in &plan.controllers {
+            let (name, scenario) = (format!("worst profile against {}", controller.name), scenario.clone());
+            add(
+                name,
+                Box::new(move |work| WorstProfile::gather(plan, (&scenario, envelope), controller, work).map(drop)),
+            );
+        }
+    }
+    if plan.config.paper {
+        add("failure maps".to_owned(), Box::new(move |work| FailureMaps::gather(plan, work).map(drop)));
+    }
+    if plan.config.everyday_draws > 0 {
+        add("usefulness".to_owned(), Box::new(move |work| Usefulness::gather(plan, work).map(drop)));
+    }
+    for name in counted_names(plan) {
+        add(format!("count {name}"), Box::new(move |work| count_one(plan, &name, work)));
+    }
+    for searched in SpecificationSearchPlan::all(plan) {
+        add(searched.name(), Box::new(move |work| searched.gather(plan, work).map(drop)));
+    }
+    for planned in &plan.suites {
+        add(format!("suite {}", planned.known.name), Box::new(move |work| run_suite(plan, planned, work).map(drop)));
+    }
+    all.sort_by_cached_key(|piece| sha256(&piece.name));
+    Ok(all)
+}

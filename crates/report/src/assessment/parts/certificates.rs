@@ -1,0 +1,535 @@
+//! Certificates of an assessment: those of kernels, those counted for it, those that were given.
+
+use crumple_verify::reach::Ranges;
+use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, WorkLimit};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::assessment::claims::{
+    Claim, Domain, Evidence, Known, MIN_CONFIDENCE_PERCENT, Property, Source, Strength, Subject,
+};
+use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crumple_core::digest::sha256;
+use crumple_evidence::{
+    CertificateReport, RateInterval, checker_file, kernel_certificate, lies_within, shipped_kernels,
+};
+use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in, built_in_names};
+use crumple_world::sim::{ControllerKind, NamedController};
+
+/// A certificate and what the checker said of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct CheckedCertificate {
+    /// Its name.
+    pub name: String,
+    /// What kind of statement it makes.
+    pub statement: &'static str,
+    /// What it is about.
+    pub about: String,
+    /// Where it lies, from the folder of the report.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// Of whom in this report it speaks.
+    #[serde(rename = "speaks_of")]
+    pub subject: CertificateSubject,
+    /// What the checker said.
+    pub status: CertificateStatus,
+    /// What it takes for granted.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<String>"))]
+    pub assumptions: Vec<Assumption>,
+    /// The file itself.
+    #[serde(skip)]
+    pub(in crate::assessment) text: String,
+    /// The statement, if it is one about a kernel.
+    #[serde(skip)]
+    kernel: Option<Statement>,
+    /// The statement, if it is one about a rate and every failure that it counts is one of the controller.
+    #[serde(skip)]
+    rate: Option<Rate>,
+}
+
+/// What the checker said of a certificate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CertificateStatus {
+    /// It proves what it states.
+    Accepted {
+        /// What that is.
+        shown: String,
+        /// How strongly that speaks for the claim that it makes of a controller, if it makes one.
+        strength: Option<Strength>,
+    },
+    /// Its runs were counted here, as they were registered, and do not show what they were to show.
+    NothingShown {
+        /// What they are, in words.
+        counted: String,
+        /// How strongly that speaks for the claim.
+        strength: Strength,
+    },
+    /// It proves nothing.
+    Rejected {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Of whom in a report a certificate speaks. What it is called, and what it says it is about, decides nothing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CertificateSubject {
+    /// Of a claim about one of the report's controllers: the same by the hashes of all that the certificate names.
+    Claim(Box<Claim>),
+    /// Of the kernel that shields of a pair of brake limits use.
+    Kernel,
+    /// Of a scene or a profile, and of no controller.
+    NoController,
+    /// Of nothing in this report.
+    #[serde(rename = "foreign")]
+    Unrelated {
+        /// Why not.
+        because: String,
+    },
+}
+
+impl CertificateSubject {
+    pub(super) fn describe(&self) -> String {
+        match self {
+            Self::Claim(claim) => {
+                let Subject { controller, estimator } = &claim.subject;
+                format!("{}, {}", controller.name, seeing(*estimator))
+            }
+            Self::Kernel => "shields".to_owned(),
+            Self::NoController => "no controller".to_owned(),
+            Self::Foreign { because } => format!("nobody here: {because}"),
+        }
+    }
+}
+
+/// What a controller looks through, in words.
+pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
+    match estimator {
+        EstimatorKind::Truth => "seeing the true state",
+        EstimatorKind::Kalman => "through the Kalman filter",
+    }
+}
+
+impl CertificateStatus {
+    pub(super) fn describe(&self) -> String {
+        match self {
+            Self::Accepted { shown, .. } => shown.clone(),
+            Self::NothingShown { counted, .. } => format!("nothing: {counted}"),
+            Self::Rejected { reason } => format!("rejected: {reason}"),
+        }
+    }
+
+    fn check(certificate: &Certificate, policy: Option<&[u8]>, counts_others: bool) -> Self {
+        let report = CertificateReport::check(String::new(), certificate, policy, WorkLimit::default());
+        let accepted = match report.map_err(|refused| refused.to_string()).and_then(|report| report.accepted) {
+            Ok(accepted) => accepted,
+            Err(reason) => return Self::Rejected { reason },
+        };
+        Self::Accepted { shown: shown(&accepted), strength: strength(&accepted, &certificate.statement, counts_others) }
+    }
+}
+
+/// How strongly an accepted statement speaks for the claim that it makes of a controller.
+fn accepted_strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> Option<Strength> {
+    match accepted {
+        Accepted::Rate { at_most, .. } => match statement {
+            Statement::Rate(rate) => Some(between(rate, *at_most, counts_others)),
+            _ => None,
+        },
+        // With little confidence it shows nothing.
+        Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
+            .filter(|percent| percent.value() >= MIN_CONFIDENCE_PERCENT)
+            .and_then(|confidence_percent| match statement {
+                Statement::Comparison(two) => {
+                    Some(Strength::Counted { confidence_percent, runs: two.registration.runs })
+                }
+                _ => None,
+            }),
+        // A cell with a start that ends in contact.
+        Accepted::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
+            Some(Strength::Refuted { failures: 1, runs: 1 })
+        }
+        Accepted::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
+        Accepted::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
+            .filter(|percent| percent.value() > 0.0)
+            .map(|share_percent| Strength::ProvedIn { share_percent }),
+        _ => None,
+    }
+}
+
+/// The bounds that counted runs give: from above as the certificate states it, from below by the same count at the same
+/// confidence, unless others' contacts are among what it counts.
+pub(super) fn rate_strength(rate: &Rate, at_most: f64, counts_others: bool) -> Strength {
+    let Registration { runs, confidence, .. } = rate.registration;
+    let failures = if counts_others { 0 } else { rate.failures };
+    Strength::Between {
+        lower_percent: Rounded::down(100.0 * RateInterval::exact(failures, runs, 2.0 * confidence - 1.0).lower),
+        upper_percent: Rounded::up(100.0 * at_most),
+        confidence_percent: Rounded::down(100.0 * confidence),
+        runs,
+    }
+}
+
+impl CheckedCertificate {
+    /// Whether the checker accepted it.
+    #[must_use]
+    pub fn is_accepted(&self) -> bool {
+        matches!(self.status, CertificateStatus::Accepted { .. })
+    }
+
+    /// What it says of whom, if the checker accepted it and it speaks of somebody here.
+    fn evidence(&self) -> Vec<Evidence> {
+        let (
+            CertificateStatus::Accepted { strength: Some(strength), .. } | CertificateStatus::NothingShown { strength, .. },
+            CertificateSubject::Claim(claim),
+        ) = (&self.status, &self.speaks_of)
+        else {
+            return Vec::new();
+        };
+        let own = Evidence { claim: (**claim).clone(), strength: strength.clone(), source: self.source() };
+        std::iter::once(own).chain(self.counted_runs_evidence(claim)).collect()
+    }
+
+    /// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
+    fn counted_runs_evidence(&self, claim: &Claim) -> Option<Evidence> {
+        let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else { return None };
+        let (seed, draws) = (rate.registration.configuration.get("seed")?.parse().ok()?, rate.registration.runs);
+        let domain = Domain::Draws { space: space.clone(), seed, draws };
+        let claim = Claim { subject: claim.subject.clone(), property: Property::NoContact, domain };
+        Some(Evidence { claim, strength: Strength::of(rate.failures, draws), source: self.source() })
+    }
+
+    pub(super) fn source(&self) -> Source {
+        let (file, sha256) = (Some(self.file.clone()), Some(self.sha256.clone()));
+        Source { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
+    }
+}
+
+/// What was accepted, with numbers a reader can take in: gaps and shares rounded down, rates up.
+fn describe_accepted(accepted: &Accepted) -> String {
+    let down = |value: f64| (100.0 * value).floor() / 100.0;
+    match accepted {
+        Accepted::Rate { at_most, confidence } => {
+            let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
+            format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
+        }
+        // Where nothing is verified, no gap is bounded either.
+        Accepted::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
+            let falsified = match down(100.0 * falsified_share) {
+                share if share > 0.0 => {
+                    format!("; {share:.2} % of its volume is in cells with a start that ends in contact")
+                }
+                _ => String::new(),
+            };
+            format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
+        }
+        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
+            format!(
+                "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
+                down(100.0 * verified_share),
+                down(*smallest_gap_m),
+                limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
+            )
+        }
+        Accepted::GapBound { gap_m, horizon_s } => format!(
+            "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
+            (100.0 * gap_m).ceil() / 100.0
+        ),
+        Accepted::Unavoidable { overlap_m, horizon_s } => format!(
+            "whatever is done, two vehicles would overlap by {:.2} m or more within {horizon_s} s",
+            down(*overlap_m)
+        ),
+        other => other.to_string(),
+    }
+}
+
+/// Kernels, what no driver can do in `scenes`, counted rates of every learned controller, a comparison with the first controller, and
+/// what was given.
+pub(super) fn gather_certificates<'a>(
+    plan: &AssessmentPlan,
+    work: &Work<'_>,
+    scenes: impl Iterator<Item = (&'a str, &'a Certificate)>,
+) -> Result<Vec<CheckedCertificate>, AssessError> {
+    let mut proofs = shipped_kernels()
+        .into_iter()
+        .map(|(name, certificate)| proof(plan, name, &certificate, None))
+        .collect::<Result<Vec<_>, _>>()?;
+    let scenes =
+        scenes.map(|(scenario, certificate)| proof(plan, format!("scene-{}", file_stem(scenario)), certificate, None));
+    proofs.extend(scenes.collect::<Result<Vec<_>, _>>()?);
+    proofs.extend(super::rate_certificates::gather(plan, work)?);
+    let given = plan.certificates.par_iter();
+    let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
+    proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
+    Ok(proofs)
+}
+
+pub(super) fn check_certificate(
+    plan: &AssessmentPlan,
+    name: String,
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+) -> Result<CheckedCertificate, AssessError> {
+    let text = serde_json::to_string_pretty(certificate).map_err(StoreError::encoding)? + "\n";
+    let sha256 = sha256(&text);
+    let counts_others = counts_others(plan, &certificate.statement);
+    // Never from what is kept: checking is cheap, and what lies on a disk can be edited.
+    let status = CertificateStatus::of(certificate, policy, counts_others);
+    Ok(CheckedCertificate {
+        statement: certificate.statement.name(),
+        about: about(plan, &name, certificate, policy),
+        file: format!("certificates/{name}.json"),
+        sha256,
+        speaks_of: speaks_of(plan, &name, certificate, policy),
+        status,
+        assumptions: certificate.assumptions.clone(),
+        rate: match &certificate.statement {
+            Statement::Rate(rate) if !counts_others => Some(rate.clone()),
+            _ => None,
+        },
+        kernel: matches!(certificate.statement, Statement::Kernel(_)).then(|| certificate.statement.clone()),
+        text,
+        name,
+    })
+}
+
+fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> String {
+    match &certificate.statement {
+        Statement::Rate(rate) => {
+            let of = |key: &str| rate.registration.configuration.get(key).map_or("", String::as_str);
+            format!("{} in {} runs of space `{}`", of("controller"), rate.registration.runs, of("space"))
+        }
+        Statement::Comparison(two) => {
+            let of = |key: &str| two.registration.configuration.get(key).map_or("", String::as_str);
+            let (first, second) = (of("controller"), of("against"));
+            format!("{first} against {second} in {} runs of space `{}`", two.registration.runs, of("space"))
+        }
+        Statement::Reach(reach) => {
+            let ranges = ranges(reach).join(", ");
+            format!("{}: {ranges}", initial_states(plan, name, (certificate, reach), policy).name)
+        }
+        Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
+        Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
+        _ => certificate.provenance.scenario.clone(),
+    }
+}
+
+/// What a box spans, in the order of the certificate.
+fn describe_ranges(reach: &Reach) -> Vec<String> {
+    let Ranges { gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, .. } = reach.ranges;
+    let Ranges { follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_steps, .. } = reach.ranges;
+    let in_seconds = |steps: f64| steps * reach.step_s;
+    let all = [
+        ("gap ahead", "m", (gap_ahead_m.low(), gap_ahead_m.high())),
+        ("gap behind", "m", (gap_behind_m.low(), gap_behind_m.high())),
+        ("leader", "m/s", (leader_speed_mps.low(), leader_speed_mps.high())),
+        ("ego", "m/s", (ego_speed_mps.low(), ego_speed_mps.high())),
+        ("follower", "m/s", (follower_speed_mps.low(), follower_speed_mps.high())),
+        ("leader brakes at", "m/s²", (leader_brake_mps2.low(), leader_brake_mps2.high())),
+        ("from", "s", (in_seconds(onset_steps.low()), in_seconds(onset_steps.high()))),
+        ("follower brakes at", "m/s²", (follower_brake_mps2.low(), follower_brake_mps2.high())),
+    ];
+    let led = reach.leader_brakes_at_most_mps2;
+    // Rate and onset say nothing of a leader that brakes as it likes.
+    let has_meaning =
+        |(name, ..): &(&str, &str, (f64, f64))| led.is_none() || !["leader brakes at", "from"].contains(name);
+    let words = all.into_iter().filter(has_meaning).map(|(name, unit, (low, high))| match low == high {
+        true => format!("{name} {low} {unit}"),
+        false => format!("{name} {low} to {high} {unit}"),
+    });
+    words.chain(led.map(|limit_mps2| format!("leader brakes as it likes, at up to {limit_mps2} m/s²"))).collect()
+}
+
+fn certificate_subject(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> CertificateSubject {
+    match &certificate.statement {
+        Statement::Rate(rate) => registered(plan, &rate.registration),
+        Statement::Comparison(two) => registered(plan, &two.registration),
+        // The policy or network as it is, seeing the true state: a shield before it makes another controller.
+        Statement::Reach(reach) => {
+            let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
+            let is_it = |one: &NamedController| digest(one).as_deref() == Some(reach.policy_sha256.as_str());
+            let place = plan.controllers.iter().position(is_it);
+            match place.and_then(|place| plan.claimant(place, EstimatorKind::Truth)) {
+                Some(subject) => CertificateSubject::Claim(Box::new(Claim {
+                    subject,
+                    property: Property::NoContact,
+                    domain: Domain::Box { around: initial_states(plan, name, (certificate, reach), policy) },
+                })),
+                None => CertificateSubject::Foreign { because: "its policy is not among the controllers".to_owned() },
+            }
+        }
+        Statement::Kernel(_) => CertificateSubject::Kernel,
+        _ => CertificateSubject::NoController,
+    }
+}
+
+/// The box, the follower, and the bounds on what is seen: all of the statement but the policy and what is shown. Its name is that of a
+/// scenario of the report whose initial state lies in the box, and else that of the certificate: its own word is not checked.
+fn initial_states_id(
+    plan: &AssessmentPlan,
+    certificate_name: &str,
+    (certificate, reach): (&Certificate, &Reach),
+    policy: Option<&[u8]>,
+) -> Known {
+    let mut content = format!(
+        "{:?} {:?} {:?} {:?} {:?}",
+        reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
+    );
+    if let Some(limit_mps2) = reach.leader_brakes_at_most_mps2 {
+        content += &format!(" leader within {limit_mps2:?}");
+    }
+    if let Some(law) = &reach.follower_law {
+        content += &format!(" follower {law:?}");
+    }
+    let horizon_s = reach.step_s * f64::from(reach.steps);
+    let is_inside = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
+    let built_in = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(is_inside);
+    let inside =
+        built_in.or_else(|| plan.traffic.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
+    let around = match inside {
+        Some(scenario) => format!("around `{}`", scenario.spec().name),
+        None => format!("of certificate `{certificate_name}`"),
+    };
+    let any_braking = if reach.leader_brakes_at_most_mps2.is_some() { ", however the leader brakes," } else { "" };
+    Known {
+        name: format!("the box of initial states {around}{any_braking} for {horizon_s} s"),
+        sha256: sha256(&content),
+    }
+}
+
+/// The space that a registration names, if the report draws from it.
+fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
+    let sha256 = registration.configuration.get("space_sha256")?;
+    plan.distributions.iter().find(|named| named.known.sha256 == *sha256)
+}
+
+/// Whether vehicles that are not under test may touch in the runs of a rate: such a run counts as a failure there, and says
+/// nothing of the controller here.
+pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
+    match statement {
+        Statement::Rate(rate) => space_of(plan, &rate.registration).is_some_and(NamedSpace::can_others_collide),
+        _ => false,
+    }
+}
+
+/// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
+/// estimator by their hashes, counted by this release.
+fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> CertificateSubject {
+    let foreign = |because: String| CertificateSubject::Foreign { because };
+    let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
+    if of("crumple") != env!("CARGO_PKG_VERSION") {
+        return foreign(format!("it was counted by crumple {}", of("crumple")));
+    }
+    let Some(named) = space_of(plan, registration) else {
+        return foreign(format!("its space `{}` is not one that this report draws from", of("space")));
+    };
+    let Some(&estimator) = EstimatorKind::ALL.iter().find(|one| one.name() == of("estimator")) else {
+        return foreign("it names no estimator".to_owned());
+    };
+    let find = |place: &str| {
+        let identity = of(&format!("{place}_sha256"));
+        let is_it = |one: &NamedController| one.kind.identity().as_deref() == Some(identity);
+        // What was counted as a failure must be what is one here.
+        let place = plan.controllers.iter().position(is_it)?;
+        let counts = plan
+            .controllers
+            .get(place)
+            .is_some_and(|one| [one.failure(), "vehicles touch, or a controller fails"].contains(&of("failure")));
+        plan.claimant(place, estimator).filter(|_| counts)
+    };
+    let Some(subject) = find("controller") else {
+        return foreign(format!("its `{}` is none of the controllers here", of("controller")));
+    };
+    let domain = Domain::Space { space: named.known.clone() };
+    let property = match registration.configuration.get("against") {
+        None => Property::FailureRate,
+        Some(_) if named.can_others_collide() => {
+            return foreign("it counts contacts of vehicles that are not under test".to_owned());
+        }
+        Some(other) => match find("against") {
+            Some(than) => Property::FailsLessOften { than: than.controller },
+            None => return foreign(format!("its `{other}` is none of the controllers here")),
+        },
+    };
+    CertificateSubject::Claim(Box::new(Claim { subject, property, domain }))
+}
+
+/// What accepted certificates say of the controllers, and of shields whose kernels they prove.
+pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
+    let mut all: Vec<_> = proofs.iter().flat_map(CheckedCertificate::evidence).collect();
+    for (place, controller) in plan.controllers.iter().enumerate() {
+        let kernels = kernels(controller);
+        let proved = |kernel: &Kernel| {
+            let expected = kernel_certificate(kernel, PAPER_STEP_S, MARGIN_M)?.statement;
+            let is_it = |proof: &&CheckedCertificate| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
+            proofs.iter().find(is_it)
+        };
+        let certificates: Option<Vec<&CheckedCertificate>> = kernels.iter().map(proved).collect();
+        if let (Some(certificates), Some(subject)) = (certificates, plan.claimant(place, plan.config.estimator))
+            && let Some(first) = certificates.first()
+        {
+            let claim = Claim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
+            let mut source = first.source();
+            source.what = format!("{} certificates of kernels", certificates.len());
+            all.push(Evidence { claim, strength: Strength::Proved { certificates: certificates.len() }, source });
+        }
+    }
+    all
+}
+
+/// The kernels that a shield of this controller uses between vehicles of the classes there are; none if it has no shield, or
+/// one whose error bounds a user set: that those hold is not for this report to say.
+pub(super) fn shield_kernels(controller: &NamedController) -> Vec<Kernel> {
+    let ControllerKind::Shielded(shielded) = &controller.kind else { return Vec::new() };
+    let ShieldSettings { ahead_brake_mps2, errors } = shielded.settings;
+    if errors.is_some() {
+        return Vec::new();
+    }
+    let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
+    let ahead: Vec<f64> = ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
+    let of = |own_brake_mps2| ahead.iter().map(move |&ahead_brake_mps2| Kernel { own_brake_mps2, ahead_brake_mps2 });
+    limits.flat_map(of).collect()
+}
+
+/// Starts inside them, as a domain.
+pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
+    let limits = |kernel: &Kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
+    Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_nothing_is_verified_nothing_is_bounded() {
+        let reach = |verified_share, falsified_share, smallest_gap_m| {
+            shown(&Accepted::Reach {
+                verified_share,
+                falsified_share,
+                smallest_gap_m,
+                horizon_s: 15.0,
+                has_follower: true,
+                leader_brakes_at_most_mps2: None,
+                departs_from: None,
+            })
+        };
+        let nothing = "nothing was verified of any part of the box, and so no gap is bounded";
+        assert_eq!(reach(0.0, 0.0, f64::INFINITY), nothing);
+        let falsified = "; 1.56 % of its volume is in cells with a start that ends in contact";
+        assert_eq!(reach(0.0, 0.015_625, f64::INFINITY), format!("{nothing}{falsified}"));
+        assert!(reach(0.5, 0.0, 1.999).contains("50.00 %") && reach(0.5, 0.0, 1.999).contains("1.99 m"));
+    }
+}

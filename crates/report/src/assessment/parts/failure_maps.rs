@@ -1,0 +1,260 @@
+//! Failure maps: which scenarios over two parameters each controller survives, and which no driver could.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::map_cell::{MapCell, MapRow};
+use super::map_grid::{Held, MapAxis, held, scenarios};
+use super::maps_figure;
+use crate::assessment::avoidance::Best;
+use crate::assessment::document::Document;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Part};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+
+/// The space whose scenarios are mapped.
+const SPACE: &str = "high-risk";
+
+/// The parameters across and up, and what they are: grip and the leader's braking decide between them how much room is
+/// left, and only where there is little grip and much braking can no driver escape.
+const ACROSS: (&str, &str) = ("friction", "Friction of the road (1 is dry)");
+const UP: (&str, &str) = ("lead_brake_share", "leader's braking (share of what the road allows)");
+
+/// Cells across and up. Three in five need a program of some 50 ms: a few seconds of two cores.
+const CELLS: (usize, usize) = (14, 14);
+
+/// Controllers shown at most: the first of the plan and learned policies.
+const MAX_MAPS: usize = 4;
+
+/// Maps of the same scenarios, one a controller.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FailureMaps {
+    /// The search space the scenarios come from.
+    pub space: String,
+    /// The parameter that grows from left to right.
+    pub across: MapAxis,
+    /// The parameter that grows from bottom to top.
+    pub up: MapAxis,
+    /// The space's other parameters and the values they were held at.
+    #[serde(rename = "held")]
+    pub fixed_parameters: Vec<Held>,
+    /// How many scenarios no controller of the plan survived, so that a convex program had to decide.
+    pub programs: usize,
+    /// One entry a controller.
+    pub maps: Vec<FailureMap>,
+}
+
+/// What came of one controller.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FailureMap {
+    /// The controller.
+    pub controller: String,
+    /// Rows from top to bottom, as they are drawn.
+    pub rows: Vec<MapRow>,
+}
+
+impl FailureMaps {
+    /// None if the plan leaves the paper out.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if !plan.config.paper {
+            return Ok(None);
+        }
+        let inputs = json!([plan.config.seed, plan.identities()]);
+        work.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
+    }
+
+    fn compute(
+        plan: &AssessmentPlan,
+        named: [(&str, &str); 2],
+        cells: (usize, usize),
+    ) -> Result<Option<Self>, AssessError> {
+        let Some(space) = built_in_space(SPACE) else { return Ok(None) };
+        let space = space.with_noise_seed(plan.config.seed);
+        let find = |name: &str| space.parameters().iter().find(|parameter| parameter.name() == name);
+        let (Some(across), Some(up)) = (find(named[0].0), find(named[1].0)) else { return Ok(None) };
+        let axes = (MapAxis::of(&space, across, named[0].1, cells.0), MapAxis::of(&space, up, named[1].1, cells.1));
+        let scenarios = scenarios(&space, (across, up), &axes)?;
+
+        let touched = touched(plan, &scenarios)?;
+        let survives = |cell: usize| touched.iter().any(|cells| cells.get(cell) == Some(&false));
+        let survived: Vec<bool> = (0..scenarios.len()).map(survives).collect();
+        let fates: Vec<MapCell> = scenarios.par_iter().zip(&survived).map(|(s, &survived)| fate(s, survived)).collect();
+
+        let of = |(controller, touched): (&NamedController, &Vec<bool>)| FailureMap {
+            controller: controller.name.clone(),
+            rows: touched
+                .iter()
+                .zip(&fates)
+                .map(|(&touched, &fate)| if touched { fate } else { MapCell::NoContact })
+                .collect::<Vec<_>>()
+                .chunks(cells.0)
+                .map(|row| MapRow(row.to_vec()))
+                .collect(),
+        };
+        let first = plan.controllers.first().map(|controller| controller.name.as_str());
+        let shown = plan.controllers.iter().zip(&touched);
+        let shown =
+            shown.filter(|(controller, _)| Some(controller.name.as_str()) == first || controller.kind.is_learned());
+        Ok(Some(Self {
+            space: SPACE.to_owned(),
+            held: held(&space, (across, up)),
+            programs: survived.iter().filter(|survived| !**survived).count(),
+            maps: shown.take(MOST_SHOWN).map(of).collect(),
+            across: axes.0,
+            up: axes.1,
+        }))
+    }
+}
+
+/// Whether vehicles touch, controller by controller and cell by cell.
+fn simulate_contacts(plan: &AssessmentPlan, scenarios: &[Scenario]) -> Result<Vec<Vec<bool>>, AssessError> {
+    let prepared = plan.controllers.iter().flat_map(|controller| {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+        scenarios.iter().map(move |scenario| Run::new(scenario, options.clone()))
+    });
+    let runs = prepared.collect::<Result<Vec<_>, _>>()?;
+    let touched = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| !simulated.outcome.is_safe());
+    Ok(touched.chunks(scenarios.len().max(1)).map(<[bool]>::to_vec).collect())
+}
+
+/// What a contact in a scenario is. A run without one decides what a program would otherwise have to.
+fn classify_cell(scenario: &Scenario, survived: bool) -> MapCell {
+    if survived {
+        return MapCell::Avoidable;
+    }
+    match Best::of(scenario) {
+        Best::Avoidable { .. } => MapCell::Avoidable,
+        Best::Unavoidable => MapCell::Unavoidable,
+        Best::Undecided { .. } => MapCell::Undecided,
+    }
+}
+
+impl FailureMap {
+    /// How many cells are of a kind.
+    #[must_use]
+    pub fn count(&self, kind: MapCell) -> usize {
+        self.rows.iter().flat_map(|row| &row.0).filter(|cell| **cell == kind).count()
+    }
+}
+
+impl FailureMaps {
+    fn introduction(&self) -> String {
+        let held: Vec<_> = self.held.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
+        format!(
+            "The scenarios of the space {} over two of its parameters, {} and {}, with the others held at their nominal values \
+             ({}). These two are shown because they decide how much room is left: how hard the leader brakes, and how hard \
+             anybody can. Each of the {} cells is the scenario at its middle, run once for every controller; where every \
+             controller of this report collides ({} cells), a convex program looks for a drive without contact or for a proof \
+             that there is none. The line surrounds what is unavoidable. Shares are of cells, not of traffic: hard braking on \
+             ice takes as much room as what is common.",
+            self.space,
+            self.across.parameter,
+            self.up.parameter,
+            held.join(", "),
+            self.across.values.len() * self.up.values.len(),
+            self.programs,
+        )
+    }
+
+    fn table(&self) -> Table {
+        let kinds = MapCell::ALL.map(MapCell::words);
+        let header: Vec<&str> =
+            ["controller"].into_iter().chain(kinds).chain(["avoidable cells without contact"]).collect();
+        let mut table = Table::new(&header);
+        for map in &self.maps {
+            let cells = MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>();
+            let share = |count: usize, of: usize| match of {
+                0 => "–".to_owned(),
+                _ => format!("{count} ({:.1} %)", 100.0 * count as f64 / of as f64),
+            };
+            let survived = map.count(MapCell::NoContact);
+            let counts = MapCell::ALL.map(|kind| Cell::number(share(map.count(kind), cells)));
+            let of_avoidable = Cell::number(share(survived, survived + map.count(MapCell::Avoidable)));
+            table.row(std::iter::once(Cell::text(&map.controller)).chain(counts).chain([of_avoidable]).collect());
+        }
+        table
+    }
+}
+
+impl Part for FailureMaps {
+    fn heading(&self) -> (&'static str, String) {
+        ("maps", "Failure maps".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.introduction());
+        out.figure(failure_maps_figure::responsive(self));
+        out.table(&self.table());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::sim::simulate;
+
+    fn small_maps() -> (AssessmentPlan, FailureMaps) {
+        let plan = AssessmentPlan::built_in();
+        let maps = FailureMaps::over(&plan, [ACROSS, UP], (4, 5)).unwrap().unwrap();
+        (plan, maps)
+    }
+
+    #[test]
+    fn cells_agree_with_single_runs_of_the_values_beside_them() {
+        let (plan, maps) = small();
+        let space = built_in_space(SPACE).unwrap();
+        assert!(maps.maps.len() >= 2 && maps.maps.iter().any(|map| map.controller == "policy"));
+        let mut kinds = std::collections::HashSet::new();
+        for map in &maps.maps {
+            let contender = plan.controllers.iter().find(|c| c.name == map.controller).unwrap();
+            assert_eq!(map.rows.len(), 5);
+            for (row, y) in map.rows.iter().zip(maps.up.values.iter().rev()) {
+                assert_eq!(row.0.len(), 4);
+                for (&cell, x) in row.0.iter().zip(&maps.across.values) {
+                    let mut values = space.nominal();
+                    for (name, value) in [(ACROSS.0, x.value()), (UP.0, y.value())] {
+                        let parameter = space.parameters().iter().find(|p| p.name() == name).unwrap();
+                        values[parameter.coordinates()].fill(value);
+                    }
+                    let scenario = space.scenario(&values).unwrap();
+                    let run = Run::new(&scenario, RunOptions::new(contender.kind.clone())).unwrap();
+                    let touched = !simulate(&run, RecordingLevel::Summary).outcome.is_safe();
+                    assert_eq!(cell == MapCell::NoContact, !touched, "{} at {x}, {y}", map.controller);
+                    kinds.insert(cell.letter());
+                }
+            }
+        }
+        assert!(['.', 'x', '#'].iter().all(|letter| kinds.contains(letter)), "the grid shows no contrast: {kinds:?}");
+    }
+
+    #[test]
+    fn what_one_controller_survives_is_unavoidable_for_none() {
+        let (_, maps) = small();
+        for (row, _) in maps.up.values.iter().enumerate() {
+            for column in 0..maps.across.values.len() {
+                let cells: Vec<_> = maps.maps.iter().map(|map| map.rows[row].0[column]).collect();
+                let fates: std::collections::HashSet<_> =
+                    cells.iter().filter(|cell| **cell != MapCell::NoContact).map(|cell| cell.letter()).collect();
+                assert!(fates.len() <= 1, "{cells:?}");
+                assert!(!cells.contains(&MapCell::NoContact) || !cells.contains(&MapCell::Unavoidable), "{cells:?}");
+            }
+        }
+        for map in &maps.maps {
+            assert_eq!(MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>(), 20);
+        }
+    }
+
+    #[test]
+    fn the_evidence_reads_back_as_it_was() {
+        let (_, maps) = small();
+        let text = serde_json::to_string(&maps).unwrap();
+        assert_eq!(serde_json::from_str::<FailureMaps>(&text).unwrap(), maps);
+        assert!(serde_json::from_str::<MapRow>("\".x#!\"").is_err());
+    }
+}

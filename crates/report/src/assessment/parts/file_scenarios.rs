@@ -1,0 +1,169 @@
+//! Scenarios from files: recorded traffic, and whatever else the configuration names.
+
+use maud::html;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{ScenarioCases, scenarios};
+use crate::assessment::avoidance::{Best, CertifiedAvoidance, REGRET_EXPLANATION};
+use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
+use crate::assessment::claims::{Domain, Evidence};
+use crate::assessment::document::Document;
+use crate::assessment::figure_layout::file_stem;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::RunError;
+
+/// Scenarios whose figures are shown: a page of hundreds is of no use.
+const MAX_DETAILED: usize = 12;
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "traffic";
+
+/// Every controller in every scenario the configuration names.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct FileScenarios {
+    /// One entry a scenario.
+    pub scenarios: Vec<ScenarioCases>,
+    /// What of recordings is no scenario, and why.
+    pub left_out: Vec<String>,
+    /// Those shown in detail.
+    #[serde(skip)]
+    closest_first: Vec<usize>,
+}
+
+impl FileScenarios {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        if plan.traffic.is_empty() {
+            return Ok(None);
+        }
+        let run = |indices: &[usize], motion: Motion| -> Result<Vec<ScenarioCases>, RunError> {
+            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
+            let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
+            let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
+            let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
+                let replay = Command::new(["simulate".to_owned(), scenario_file(scenario)])
+                    .and(plan.estimator_args().iter().copied());
+                ScenarioCases::new(scenario, replay, cases)
+            });
+            Ok(named.collect())
+        };
+        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
+        // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
+        let closest_first = closest_scenarios(&scenarios);
+        work.did((plan.traffic.len() * plan.controllers.len()) as u64)?;
+        let best = |&index: &usize| {
+            plan.traffic.get(index).map(|(_, scenario)| CertifiedAvoidance::kept(scenario, work)).transpose()
+        };
+        let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
+        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
+            scenarios[index] = match best {
+                Some(best) => drawn.with_avoidance(best),
+                None => drawn,
+            };
+        }
+        let left_out = plan.left_out.iter().map(ToString::to_string).collect();
+        Ok(Some(Self { scenarios, left_out, closest_first }))
+    }
+
+    /// What these runs say.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
+    }
+
+    /// The scenarios as a domain.
+    pub(in crate::assessment) fn domain(&self) -> Domain {
+        scenario_cases::domain(&self.scenarios, ANCHOR)
+    }
+
+    fn describe_left_out(&self) -> String {
+        format!("left out of the recordings: {}", self.left_out.len())
+    }
+
+    fn overview_table(&self) -> Table {
+        let names =
+            self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
+        let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best escape found"]).collect();
+        let mut table = Table::new(&header);
+        for scenario in &self.scenarios {
+            let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));
+            let best = Cell::text(scenario.best.as_ref().map_or("–".to_owned(), Best::brief));
+            table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
+        }
+        table
+    }
+}
+
+/// Indices of the scenarios to show in detail: those in which vehicles came closest, contacts first.
+fn closest_scenarios(scenarios: &[ScenarioCases]) -> Vec<usize> {
+    let closest_m = |index: &usize| {
+        let gaps = scenarios[*index].cases.iter().flat_map(|case| [case.ahead.min_gap_m, case.behind.min_gap_m]);
+        gaps.flatten().map(|gap| gap.value()).fold(f64::INFINITY, f64::min)
+    };
+    let mut indices: Vec<usize> = (0..scenarios.len()).collect();
+    indices.sort_by(|a, b| closest_m(a).total_cmp(&closest_m(b)));
+    indices.truncate(MAX_DETAILED);
+    indices
+}
+
+/// Where a scenario lies, from the folder of the report.
+pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
+    format!("scenarios/{}.toml", file_stem(&scenario.spec().name))
+}
+
+fn format_case(case: &Case) -> String {
+    let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
+    match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), &case.verdict) {
+        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
+        (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: Some(ttc_s) }) => {
+            format!("{gap_m} m, closing (TTC {ttc_s} s)")
+        }
+        _ => case.verdict.words(),
+    }
+}
+
+const INTRODUCTION: &str = "Each scenario that the configuration names, and each braking episode of its recordings, under every controller: the smallest gap ahead of or \
+    behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
+    each other: the scenario was over before its story was.";
+
+impl Part for FileScenarios {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Recorded traffic and other scenarios".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
+        out.paragraph(INTRODUCTION);
+        out.html(html! { p { (REGRET_EXPLANATION) " It was looked for in the scenarios shown in detail." } });
+        out.markdown().paragraph(REGRET_EXPLANATION);
+        out.table(&self.overview());
+        if !self.left_out.is_empty() {
+            out.markdown().paragraph(self.describe_left_out() + ":");
+            out.folded(&self.describe_left_out(), |out| out.list(&self.left_out));
+        }
+        let details = match telling.len() < self.scenarios.len() {
+            true => format!(
+                "Details of the {} of {} scenarios in which somebody came closest:",
+                telling.len(),
+                self.scenarios.len()
+            ),
+            false => "Details, closest first:".to_owned(),
+        };
+        out.html(html! {
+            p { (details) }
+            @for scenario in telling {
+                details {
+                    summary { (scenario.scenario) }
+                    p { (scenario.about) }
+                    p { (scenario.describe_avoidance()) }
+                    (scenario.table().html())
+                    details { summary { "further measures" } (scenario.further_measures().html()) }
+                    @for case in &scenario.cases { (scenario.collapsible_figure(case)) }
+                }
+            }
+        });
+    }
+}

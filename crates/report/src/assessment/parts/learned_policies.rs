@@ -1,0 +1,227 @@
+//! Learned policies: where they come from, and how they brake.
+
+use serde::Serialize;
+
+use super::{PaperScenarios, ScenarioCases};
+use crate::assessment::case::Case;
+use crate::assessment::document::Document;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::{AssessmentPlan, Part, Rounded};
+use crate::draw::{Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, TaggedLine};
+use crumple_world::control::ControllerSpec;
+use crumple_world::policy::{CurvePoint, LearningCurve, Policy};
+use crumple_world::sim::{Trace, Track};
+
+/// The learned policies among the controllers.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct LearnedPolicies {
+    /// One entry a policy.
+    pub policies: Vec<LearnedPolicy>,
+    /// When each policy brakes in the paper's scenarios, with the first controller beside it.
+    pub braking: Vec<BrakingTimes>,
+    /// How the preset behind the reference policy learns, seed after seed; none if that policy is not among the controllers.
+    pub learning_curve: Option<LearningCurve>,
+    #[serde(skip)]
+    figures: Vec<(String, Svg)>,
+}
+
+/// The curve of `crumple train --preset fast --seeds 30`; `corpora/policy/README.md` says how it was made.
+const REFERENCE_CURVE: &str = include_str!("../built_in/learning-curve.json");
+
+/// A policy and its origin.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct LearnedPolicy {
+    /// The name it goes by here.
+    pub name: String,
+    /// SHA-256 of its file.
+    pub sha256: String,
+    /// Release, preset, seed and episode it comes from.
+    pub origin: String,
+    /// Its network and how it is used.
+    pub network: String,
+}
+
+/// When the first vehicle under test and the one behind it begin to brake.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct BrakingTimes {
+    /// The scenario.
+    pub scenario: String,
+    /// The controller.
+    pub controller: String,
+    /// When the leader first brakes, in seconds.
+    pub leader_brakes_s: Option<Rounded<2>>,
+    /// When the first vehicle under test first brakes harder than [`BRAKING_MPS2`], in seconds.
+    pub ego_brakes_s: Option<Rounded<2>>,
+    /// When the emergency brake of the last vehicle fires, in seconds.
+    pub follower_brakes_s: Option<Rounded<2>>,
+    /// Hardest deceleration of the first vehicle under test in the second before that, in m/s².
+    pub ego_brake_before_mps2: Option<Rounded<2>>,
+    /// Largest acceleration of the first vehicle under test after that while it still moves, in m/s².
+    pub ego_acceleration_after_mps2: Option<Rounded<2>>,
+}
+
+/// A vehicle counts as braking once it decelerates harder than this, in m/s².
+pub const BRAKING_MPS2: f64 = 0.5;
+
+impl LearnedPolicies {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, paper: &PaperScenarios) -> Option<Self> {
+        let learned: Vec<_> = plan.controllers.iter().filter_map(|c| Some((c.name.clone(), c.policy()?))).collect();
+        if learned.is_empty() {
+            return None;
+        }
+        let first = plan.controllers.first().map(|controller| controller.name.as_str());
+        let is_shown = |name: &str| Some(name) == first || learned.iter().any(|(policy, _)| policy == name);
+        let mut braking = Vec::new();
+        let mut figures = Vec::new();
+        for scenario in &paper.scenarios {
+            let shown: Vec<_> = scenario.cases.iter().filter(|case| is_shown(&case.controller)).collect();
+            braking.extend(shown.iter().filter_map(|case| BrakingTimes::of(scenario, case)));
+            for case in shown.iter().filter(|case| case.motion.is_some()) {
+                let name = format!("{}, {}", scenario.scenario, case.controller);
+                figures.extend(case.motion.as_ref().map(|(trace, _)| (name.clone(), accelerations(&name, trace))));
+            }
+        }
+        let policies = learned.iter().map(|(name, policy)| LearnedPolicy::of(name, policy)).collect();
+        let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy(Default::default()).name());
+        let learning_curve = has_reference.then(|| serde_json::from_str(REFERENCE_CURVE).ok()).flatten();
+        Some(Self { policies, braking, learning_curve, figures })
+    }
+
+    fn origin_table(&self) -> Table {
+        Table::of(
+            &self.policies,
+            &[
+                ("policy", &|policy| Cell::text(&policy.name)),
+                ("trained by", &|policy| Cell::text(&policy.origin)),
+                ("network", &|policy| Cell::text(&policy.network)),
+                ("SHA-256", &|policy| Cell::digest(&policy.sha256)),
+            ],
+        )
+    }
+
+    fn braking_table(&self) -> Table {
+        Table::of(
+            &self.braking,
+            &[
+                ("scenario, controller", &|one| Cell::text(format!("{}, {}", one.scenario, one.controller))),
+                ("leader brakes (s)", &|one| Cell::optional(one.leader_brakes_s)),
+                ("ego brakes (s)", &|one| Cell::optional(one.ego_brakes_s)),
+                ("follower's AEB fires (s)", &|one| Cell::optional(one.follower_brakes_s)),
+                ("ego's peak brake in the second before (m/s²)", &|one| Cell::optional(one.ego_brake_before_mps2)),
+                ("ego's peak acceleration after (m/s²)", &|one| Cell::optional(one.ego_acceleration_after_mps2)),
+            ],
+        )
+    }
+}
+
+impl LearnedPolicy {
+    fn new(name: &str, policy: &Policy) -> Self {
+        let header = policy.header();
+        let preset = header.training.get("name").and_then(serde_json::Value::as_str).unwrap_or("unnamed");
+        Self {
+            name: name.to_owned(),
+            sha256: policy.digest(),
+            origin: format!(
+                "crumple {}, preset {preset}, seed {}, episode {}, estimator {}",
+                header.crumple,
+                header.seed,
+                header.episode,
+                header.estimator.name()
+            ),
+            network: format!("hidden layers {:?}, a decision every {} s", header.hidden, header.decision_interval_s),
+        }
+    }
+}
+
+impl BrakingTimes {
+    /// In the paper's scenarios vehicle 0 leads, vehicle 1 is the first under test, and the last one follows.
+    fn new(scenario: &ScenarioCases, case: &Case) -> Option<Self> {
+        let (trace, _) = case.motion.as_ref()?;
+        let [leader, ego, .., follower] = trace.vehicles.as_slice() else { return None };
+        let brakes_s = |track: &Track| {
+            let sample = track.acceleration_mps2.iter().position(|&a| a < -BRAKING_MPS2)?;
+            trace.time_s.get(sample).copied()
+        };
+        let fires_s = brakes_s(follower);
+        let within = |from_s: f64, to_s: f64| {
+            let samples = trace.time_s.iter().zip(&ego.acceleration_mps2).zip(&ego.speed_mps);
+            samples.filter(move |((t, _), v)| **t >= from_s && **t < to_s && **v > 0.0).map(|((_, &a), _)| a)
+        };
+        Some(Self {
+            scenario: scenario.scenario.clone(),
+            controller: case.controller.clone(),
+            leader_brakes_s: brakes_s(leader).map(Rounded::new),
+            ego_brakes_s: brakes_s(ego).map(Rounded::new),
+            follower_brakes_s: fires_s.map(Rounded::new),
+            ego_brake_before_mps2: fires_s
+                .and_then(|fires_s| within(fires_s - 1.0, fires_s).map(|a| -a).max_by(f64::total_cmp))
+                .map(Rounded::new),
+            ego_acceleration_after_mps2: fires_s
+                .and_then(|fires_s| within(fires_s, f64::INFINITY).max_by(f64::total_cmp))
+                .map(Rounded::new),
+        })
+    }
+}
+
+/// Acceleration of every vehicle over time.
+fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
+    let (width, height) = (720.0, 200.0);
+    let frame = Frame { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: width - LEFT_MARGIN - 16.0, height };
+    let end_s = trace.time_s.last().copied().unwrap_or(1.0);
+    let time = Axis::numbers("Time (s)", (0.0, end_s), 8);
+    let mut panel = Panel::new(frame, &format!("Acceleration (m/s²): {name}"), time, Axis::numbers("", (-8.0, 4.0), 6));
+    let mut tags = Vec::new();
+    for (index, track) in trace.vehicles.iter().enumerate() {
+        let samples = trace.time_s.iter().zip(&track.acceleration_mps2).zip(&track.speed_mps);
+        // At rest an acceleration is a command to the brakes, not motion.
+        let points: Vec<_> = samples.map(|((&t, &a), &v)| (t, if v > 0.0 { a } else { 0.0 })).collect();
+        panel.line(&points, Stroke::series(index));
+        tags.push(TaggedLine { points, tag: index.to_string(), ink: Ink::Series(index) });
+    }
+    panel.tags(&tags);
+    let prefix = format!("acceleration-{name}");
+    let description = "Acceleration of every vehicle over time, numbered from the front.";
+    Svg::new(&prefix, (width, HEADING_HEIGHT + height + BOTTOM_MARGIN), name, description, panel.draw(&Svg::id(&prefix, "panel")))
+}
+
+const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which fires the follower's \
+    emergency brake before it is too late, and that it may speed up again at the end to leave room behind. Whether a policy \
+    here does so can be read off: when it first brakes, beside when its leader does; how hard in the second before the \
+    follower's brake fires; and whether it speeds up afterwards. A policy that brakes before its leader does has learned the \
+    paper's scenarios rather than the road: the paper's reward asks for no contact and charges nothing for braking.";
+
+/// What the curve shows and what it does not.
+fn describe_learning_curve(curve: &LearningCurve) -> String {
+    let reward = |point: Option<&CurvePoint>| point.map_or(0.0, |point| point.mean_reward);
+    format!(
+        "{} seeds of preset {} score {} before any training, on average, and {} at the end, where 22500 is no contact in any run: what \
+         is learned lies between the two. A seed that has finished keeps its best from then on, so the end of the curve says when seeds \
+         finished, and not how they would have gone on.",
+        curve.seeds,
+        curve.preset,
+        reward(curve.points.first()),
+        reward(curve.points.last())
+    )
+}
+
+impl Part for LearnedPolicies {
+    fn heading(&self) -> (&'static str, String) {
+        ("learned", "How the learned policy drives".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        out.table(&self.origins());
+        if let Some(curve) = &self.learning_curve {
+            out.figure(crate::figures::learning_curve(curve));
+            out.paragraph(&in_words(curve));
+        }
+        out.paragraph(INTRODUCTION);
+        out.table(&self.times());
+        for (name, figure) in &self.figures {
+            out.folded(&format!("accelerations: {name}"), |out| out.html(figure));
+        }
+    }
+}

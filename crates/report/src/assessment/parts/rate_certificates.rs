@@ -1,0 +1,128 @@
+//! Runs that are counted for certificates of a report.
+
+use crumple_verify::{Certificate, Registration, Statement};
+
+use super::certificates::{Proof, CertificateStatus, between, counts_others, proof};
+use crate::assessment::claims::Strength;
+use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
+use crumple_world::sim::NamedController;
+
+/// The seed of counted runs: not that of the draws that are reported elsewhere.
+const COUNT_SEED_MASK: u64 = 0x5eed;
+
+/// What is counted for a certificate: under which name, in which space, of whom, against whom.
+struct PlannedRateCount<'a> {
+    name: String,
+    space: &'a NamedSpace,
+    controller: NamedController,
+    against: Option<NamedController>,
+}
+
+/// The names of certificates that are made for a report.
+pub(in crate::assessment) fn generated_certificate_names(plan: &AssessmentPlan) -> Vec<String> {
+    let kernels = shipped_kernels().into_iter().map(|(name, _)| name);
+    kernels.chain(planned_rate_counts(plan).into_iter().map(|counted| counted.name)).collect()
+}
+
+fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
+    if plan.config.rates.runs == 0 {
+        return Vec::new();
+    }
+    let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.kind.is_learned());
+    let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
+        learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
+    if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
+        && plan.subject != 0
+    {
+        wanted.push((
+            format!("{}-against-{}", plan.slug(plan.subject), plan.slug(0)),
+            subject.clone(),
+            Some(first.clone()),
+        ));
+    }
+    // Only what states an identity can be spoken of.
+    wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
+    let several = plan.distributions.len() > 1;
+    let mut counted = Vec::new();
+    for space in &plan.distributions {
+        for (name, controller, against) in wanted.clone() {
+            let name = if several { format!("{name}-{}", file_stem(space.space.name())) } else { name };
+            counted.push(PlannedRateCount { name, space, controller, against });
+        }
+    }
+    counted
+}
+
+pub(super) fn gather_rate_certificates(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
+    let proofs = planned_rate_counts(plan).into_iter().map(|counted| count(plan, work, counted));
+    proofs.collect()
+}
+
+/// The names of those that are counted.
+pub(in crate::assessment) fn rate_count_names(plan: &AssessmentPlan) -> Vec<String> {
+    planned_rate_counts(plan).into_iter().map(|counted| counted.name).collect()
+}
+
+/// That of a name.
+pub(in crate::assessment) fn gather_rate_certificate(plan: &AssessmentPlan, name: &str, work: &Work<'_>) -> Result<(), AssessError> {
+    let named = planned_rate_counts(plan).into_iter().find(|counted| counted.name == name);
+    named.map_or(Ok(()), |counted| count(plan, work, counted).map(drop))
+}
+
+fn count_rate(plan: &AssessmentPlan, work: &Work<'_>, counted: PlannedRateCount<'_>) -> Result<Proof, AssessError> {
+    let PlannedRateCount { name, space, controller, against } = counted;
+    let rates = RatePlan::new(RateConfig {
+        against,
+        seed: plan.config.seed ^ COUNT_SEED_MASK,
+        estimator: plan.config.estimator,
+        confidence: plan.config.rates.confidence,
+        ..RateConfig::new(controller, space.space.clone(), plan.config.rates.runs)
+    })?;
+    // A line with the certificate, and one with who gave no answer, if somebody did.
+    let kept: String = work.get(&name, rates.registration(), || {
+        let mut tally = rates.tally();
+        while tally.runs < plan.config.rates.runs {
+            let before = tally.runs;
+            rates.count_batch(&mut tally)?;
+            work.did(tally.runs - before)?;
+        }
+        let text = serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?;
+        Ok::<_, AssessError>(match tally.unanswered_summary() {
+            silent if silent.is_empty() => text,
+            silent => format!("{text}\n{silent}"),
+        })
+    })?;
+    let (text, silent) = kept.split_once('\n').unwrap_or((&kept, ""));
+    let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
+    let mut proof = proof(plan, name, &certificate, None)?;
+    let counts_others = counts_others(plan, &certificate.statement);
+    if let Some(status) = not_shown_status(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted()) {
+        proof.status = status;
+    }
+    Ok(proof)
+}
+
+/// What becomes of counts that were made here and do not show what they were to show: they are no proof, and none that was
+/// tampered with.
+fn not_shown_status(statement: &Statement, counts_others: bool, silent: &str) -> Option<CertificateStatus> {
+    match statement {
+        Statement::Comparison(two) => {
+            let (only_first, only_second) = (two.only_first_failed, two.only_second_failed);
+            let Registration { runs, confidence, .. } = two.registration;
+            Some(CertificateStatus::NothingShown {
+                counted: format!(
+                    "only the first failed in {only_first} runs, only the second in {only_second}{silent}"
+                ),
+                strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
+            })
+        }
+        Statement::Rate(rate) => Some(CertificateStatus::NothingShown {
+            counted: format!("{} of {} runs failed{silent}", rate.failures, rate.registration.runs),
+            strength: between(rate, 1.0, counts_others),
+        }),
+        _ => None,
+    }
+}

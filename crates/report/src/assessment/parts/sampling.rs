@@ -1,0 +1,446 @@
+//! Draws of spaces: failure rates with exact bounds, and paired comparison.
+
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::exposure::{exposed, on_the_road};
+use crate::assessment::case::{CaseVerdict, smallest};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::document::Document;
+use crate::assessment::figure_layout::NamedSpace;
+use crate::assessment::table::{Cell, Column, Table};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
+use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
+use crumple_evidence::RateInterval;
+use crumple_evidence::exposure::{ExposedRate, FailureProbability};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{
+    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,
+};
+
+/// Confidence of the intervals.
+const CONFIDENCE: f64 = 0.95;
+
+/// Draws simulated at a time: enough to fill all cores, few enough not to fill memory.
+const BATCH_SIZE: u64 = 4096;
+
+/// Every controller on the same draws, space after space.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpaceSamples {
+    /// One entry a space.
+    pub spaces: Vec<SpaceSample>,
+}
+
+/// Every controller on the same draws of a space.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpaceSample {
+    /// The space.
+    pub space: Known,
+    /// Draws for each controller.
+    pub draws: u64,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Confidence of the intervals.
+    pub confidence: f64,
+    /// One entry a controller.
+    pub controllers: Vec<Sampled>,
+}
+
+/// How one controller did on all draws.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ControllerSample {
+    /// The controller's name.
+    pub controller: String,
+    /// Draws in which a vehicle under test touched another.
+    pub collisions: u64,
+    /// Draws that ended because its controller gave no answer: failures, and no collisions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
+    /// Draws that ended when vehicles that are not under test touched: they say nothing of the controller.
+    pub cut_short: u64,
+    /// Draws in which a vehicle under test hit the one ahead first.
+    pub hit: u64,
+    /// Draws in which a vehicle under test was hit from behind first.
+    pub was_hit: u64,
+    /// The share of collisions, and of draws without an answer, in percent, and its exact bounds.
+    pub rate_percent: PercentInterval,
+    /// Smallest gap ahead of a vehicle under test over all draws, in metres.
+    pub min_gap_ahead_m: Option<Rounded<2>>,
+    /// Smallest gap behind a vehicle under test over all draws, in metres.
+    pub min_gap_behind_m: Option<Rounded<2>>,
+    /// Mean impact speed of the collisions, in m/s.
+    pub mean_impact_speed_mps: Option<Rounded<1>>,
+    /// What failures come to per hour and per 1000 km; none where the space does not say in how much driving it was seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "exposed")]
+    pub rate_per_exposure: Option<ExposedRate>,
+    /// How the first controller and this one fare on the same draws; none for the first itself.
+    pub paired: Option<PairedCounts>,
+}
+
+/// A share in percent with its bounds.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct PercentInterval {
+    /// The share that was observed.
+    pub observed: Rounded<2>,
+    /// Lower bound.
+    pub lower: Rounded<2>,
+    /// Upper bound.
+    pub upper: Rounded<2>,
+}
+
+impl PercentInterval {
+    /// Formats the interval.
+    pub(super) fn format_bounds(&self) -> String {
+        format!("{} – {}", self.lower, self.upper)
+    }
+
+    /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards. What those that were cut short would
+    /// have come to is not known: they count where that is worse, and not where it is better.
+    pub(super) fn clopper_pearson([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
+        let bounds = |count| RateInterval::exact(count, total, confidence);
+        let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
+        Self {
+            observed: Rounded::new(100.0 * observed),
+            lower: Rounded::down(100.0 * bounds(count).lower),
+            upper: Rounded::up(100.0 * bounds(count + cut_short).upper),
+        }
+    }
+}
+
+/// Two controllers on the same draws. Draws in which the first gave no answer are not among those in which only it fails.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct PairedCounts {
+    /// Both fail.
+    pub both: u64,
+    /// Only the first controller collides.
+    pub only_first: u64,
+    /// Only this one fails.
+    pub only_this: u64,
+}
+
+/// What is kept of one run.
+pub(super) struct SampledRun {
+    pub(super) verdict: CaseVerdict,
+    impact_speed_mps: Option<f64>,
+    gaps_m: [Option<f64>; 2],
+}
+
+impl Sampled {
+    /// Draws that its controller gave no answer in.
+    #[must_use]
+    pub(crate) fn unanswered_runs(&self) -> u64 {
+        self.unanswered.as_ref().map_or(0, |silent| silent.runs)
+    }
+
+    /// Draws that it fails, in whatever way.
+    #[must_use]
+    pub fn failures(&self) -> u64 {
+        self.collisions.saturating_add(self.silent())
+    }
+
+    /// What the draws say of the claim that it fails in fewer of them than another. Those in which the other gave no answer may have gone
+    /// either way.
+    fn strength_against(&self, other: &Self, draws: u64) -> Strength {
+        let beside = [other.collisions, other.cut_short.saturating_add(other.silent())];
+        match (Strength::compared([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
+            (Strength::Untried, Some(Unanswered { runs: unanswered, because })) => {
+                Strength::OtherUnanswered { unanswered: *unanswered, runs: draws, because: because.clone() }
+            }
+            (strength, _) => strength,
+        }
+    }
+
+    /// The exact bounds on the share of collisions.
+    fn rate_strength(&self, distribution: &SpaceSample) -> Strength {
+        Strength::Between {
+            lower_percent: self.rate_percent.lower,
+            upper_percent: self.rate_percent.upper,
+            // Each end of a two-sided interval is a one-sided bound at half the risk.
+            confidence_percent: Rounded::down(50.0 + 50.0 * distribution.confidence),
+            runs: distribution.draws,
+        }
+    }
+}
+
+impl SpaceSamples {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+        let of = |named: &NamedSpace| SpaceSample::gather(plan, named, work);
+        Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
+    }
+
+    /// What was seen of each controller: on the draws, of the rate, and beside the first controller.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let mut all = Vec::new();
+        for drawn in self.spaces.iter().filter(|drawn| drawn.draws > 0) {
+            let space = || drawn.space.clone();
+            let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.draws };
+            let source = || Source::part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
+            let first = plan.claimant(0, plan.config.estimator).zip(drawn.controllers.first());
+            for (subject, sampled) in plan.claimants().into_iter().zip(&drawn.controllers) {
+                let mut add = |property, domain, strength| {
+                    let claim = Claim { subject: subject.clone(), property, domain };
+                    all.push(Evidence { claim, strength, source: source() });
+                };
+                let telling = drawn.draws - sampled.cut_short;
+                let touching = Strength::from_counts_with_unanswered(sampled.collisions, telling, sampled.unanswered.as_ref(), true);
+                add(Property::NoContact, draws(), touching);
+                add(Property::OthersKeepClear, draws(), Strength::of(sampled.cut_short, drawn.draws));
+                add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
+                if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
+                    let than = Property::FailsLessOften { than: first.controller.clone() };
+                    add(than, draws(), sampled.compared(of_first, drawn.draws));
+                }
+            }
+        }
+        all
+    }
+}
+
+impl SpaceSample {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        named: &NamedSpace,
+        work: &Work<'_>,
+    ) -> Result<Self, AssessError> {
+        let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
+        work.get(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
+    }
+
+    fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &Work<'_>) -> Result<Self, AssessError> {
+        let config = &plan.config;
+        let mut tallies: Vec<SampleTally> = plan.controllers.iter().map(|_| SampleTally::default()).collect();
+        for from in (0..config.draws).step_by(BATCH_SIZE as usize) {
+            let to = config.draws.min(from + BATCH_SIZE);
+            let draw = |index| named.space.draw(config.seed, index);
+            let scenarios = (from..to).map(draw).collect::<Result<Vec<_>, _>>()?;
+            let mut first: Vec<SampleOutcome> = Vec::new();
+            for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
+                let draws = run_draws(&scenarios, controller, plan)?;
+                let fared: Vec<SampleOutcome> = draws.iter().map(|draw| SampleOutcome::of(&draw.verdict)).collect();
+                if first.is_empty() {
+                    first.clone_from(&fared);
+                }
+                tally.add(&draws, first.iter().copied().zip(fared));
+            }
+            work.did((to - from) * plan.controllers.len() as u64)?;
+        }
+        let finish = |(index, (controller, tally)): (usize, (&NamedController, SampleTally))| {
+            let known =
+                FailureProbability::Counted { failures: tally.failures(), unknown: tally.cut_short, runs: tally.draws };
+            let exposed = exposed(plan, named, controller, known, work)?;
+            Ok(Sampled { exposed, ..tally.finish(controller, index > 0) })
+        };
+        let controllers =
+            plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
+        Ok(Self {
+            space: named.known.clone(),
+            draws: config.draws,
+            seed: config.seed,
+            confidence: CONFIDENCE,
+            controllers,
+        })
+    }
+
+    fn introduction(&self) -> String {
+        format!(
+            "{} draws of `{}` (seed {}), the same for every controller. Bounds are exact (Clopper–Pearson, {} %, each controller by \
+             itself), their ends rounded outwards.",
+            self.draws,
+            self.space.name,
+            self.seed,
+            100.0 * self.confidence
+        )
+    }
+
+    fn table(&self) -> Table {
+        let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
+        let only_first = format!("only {first} collides");
+        let columns: [Column<'_, &Sampled>; 13] = [
+            ("controller", &|one| Cell::text(&one.controller)),
+            ("collisions", &|one| Cell::judged(one.collisions, one.collisions + one.cut_short == 0)),
+            ("no answer", &|one| Cell::judged(one.silent(), one.silent() == 0)),
+            ("rate %", &|one| Cell::number(one.rate_percent.observed)),
+            ("bounds %", &|one| Cell::number(one.rate_percent.bounds())),
+            ("hit ahead", &|one| Cell::number(one.hit)),
+            ("hit from behind", &|one| Cell::number(one.was_hit)),
+            ("cut short by others", &|one| Cell::number(one.cut_short)),
+            ("min gap ahead m", &|one| Cell::optional(one.min_gap_ahead_m)),
+            ("min gap behind m", &|one| Cell::optional(one.min_gap_behind_m)),
+            ("mean impact m/s", &|one| Cell::optional(one.mean_impact_speed_mps)),
+            (&only_first, &|one| Cell::optional(one.paired.map(|paired| paired.only_first))),
+            ("only this one", &|one| Cell::optional(one.paired.map(|paired| paired.only_this))),
+        ];
+        let all_answered = self.controllers.iter().all(|sampled| sampled.unanswered.is_none());
+        Table::without(&self.controllers, &columns, all_answered.then_some(2))
+    }
+
+    /// Of each controller that gave no answer in some draws: in how many, and why.
+    fn unanswered_notes(&self) -> Vec<String> {
+        let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
+        let words = silent.map(|(sampled, silent)| {
+            format!("{} {}. That is a failure of it, and no collision.", sampled.controller, silent.words(self.draws))
+        });
+        words.collect()
+    }
+
+    fn figure(&self) -> Svg {
+        let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller.as_str()).collect();
+        let left = names.iter().map(|name| text_width(name, crate::draw::SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
+        let (width, height) = (480.0, 30.0 * names.len() as f64);
+        let frame = Frame { left, top: crate::draw::HEADING_HEIGHT, width: width - left - 24.0, height };
+        let axis = Axis::numbers("Collisions (% of draws)", (0.0, 100.0), 5);
+        let mut panel =
+            Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::names("", &names).reversed());
+        for (index, sampled) in self.controllers.iter().enumerate() {
+            let y = (names.len() - 1 - index) as f64;
+            let PercentInterval { observed, lower, upper } = sampled.rate_percent;
+            let ink = if sampled.failures() == 0 { Ink::Series(0) } else { Ink::Alert };
+            let marker = if sampled.failures() == 0 { Marker::Ring } else { Marker::Cross };
+            panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+            panel.marks(&[(observed.value(), y)], marker, ink);
+        }
+        let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
+        let description = description.collect::<Vec<_>>().join(", ");
+        let size = (width, frame.bottom() + crate::draw::BOTTOM_MARGIN);
+        let id = format!("rates-{}", self.space.name);
+        Svg::new(&id, size, "Collision rates", &description, panel.draw(&Svg::id(&id, "panel")))
+    }
+}
+
+/// What comes of each, none recorded but in its sums.
+pub(super) fn run_samples(
+    scenarios: &[Scenario],
+    controller: &NamedController,
+    plan: &AssessmentPlan,
+) -> Result<Vec<SampledRun>, RunError> {
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+    let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| SampledRun::of(runs[index].scenario(), &simulated)))
+}
+
+impl SampledRun {
+    fn new(scenario: &Scenario, simulated: &Simulated) -> Self {
+        let gap_m = |behind: usize| {
+            let of = |index: usize| simulated.vehicles.get(index + behind).and_then(|vehicle| vehicle.min_gap_m);
+            smallest((0..simulated.vehicles.len()).filter(|&index| scenario.is_under_test(index)).map(of))
+        };
+        Self {
+            verdict: CaseVerdict::of(simulated, scenario),
+            impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
+            gaps_m: [gap_m(0), gap_m(1)],
+        }
+    }
+}
+
+/// How a controller fared in a draw, as far as it is set beside another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum SampleOutcome {
+    Passes,
+    Fails,
+    /// It gave no answer.
+    Unanswered,
+}
+
+impl SampleOutcome {
+    fn from_verdict(verdict: &CaseVerdict) -> Self {
+        match verdict {
+            CaseVerdict::ControllerFailed { .. } => Self::Silent,
+            verdict if verdict.is_failure() => Self::Fails,
+            _ => Self::Passes,
+        }
+    }
+}
+
+/// Sums over draws.
+#[derive(Default)]
+struct SampleTally {
+    draws: u64,
+    collisions: u64,
+    unanswered: Option<Unanswered>,
+    cut_short: u64,
+    hit: u64,
+    was_hit: u64,
+    impact_speed_sum_mps: f64,
+    impacts: u64,
+    min_gaps_m: [Option<f64>; 2],
+    paired: PairedCounts,
+}
+
+impl SampleTally {
+    fn add(&mut self, draws: &[SampledRun], with_first: impl Iterator<Item = (SampleOutcome, SampleOutcome)>) {
+        for draw in draws {
+            self.draws += 1;
+            self.collisions += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_) | CaseVerdict::WasHit(_)));
+            Unanswered::join(&mut self.unanswered, draw.verdict.unanswered());
+            self.cut_short += u64::from(!draw.verdict.counts());
+            self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
+            self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
+            if let Some(impact_speed_mps) = draw.impact_speed_mps.filter(|_| draw.verdict.is_failure()) {
+                self.impact_speed_sum_mps += impact_speed_mps;
+                self.impacts += 1;
+            }
+            for (smallest, gap_m) in self.min_gaps_m.iter_mut().zip(draw.gaps_m) {
+                *smallest = [*smallest, gap_m].into_iter().flatten().min_by(f64::total_cmp);
+            }
+        }
+        for (first, this) in with_first {
+            match (first, this) {
+                (SampleOutcome::Fails | SampleOutcome::Silent, SampleOutcome::Fails | SampleOutcome::Silent) => self.paired.both += 1,
+                (SampleOutcome::Fails, SampleOutcome::Passes) => self.paired.only_first += 1,
+                (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Silent) => self.paired.only_this += 1,
+                // What the first gave no answer in does not count in favour of this one.
+                (SampleOutcome::Silent | SampleOutcome::Passes, SampleOutcome::Passes) => {}
+            }
+        }
+    }
+
+    fn failures(&self) -> u64 {
+        self.collisions.saturating_add(self.unanswered.as_ref().map_or(0, |silent| silent.runs))
+    }
+
+    fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
+        let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
+        Sampled {
+            controller: controller.name.clone(),
+            rate_percent: PercentInterval::exact([self.failures(), self.cut_short], self.draws, CONFIDENCE),
+            collisions: self.collisions,
+            unanswered: self.unanswered,
+            cut_short: self.cut_short,
+            hit: self.hit,
+            was_hit: self.was_hit,
+            min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
+            min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
+            mean_impact_speed_mps: (self.impacts > 0).then(|| mean_impact_mps.into()),
+            exposed: None,
+            paired: is_paired.then_some(self.paired),
+        }
+    }
+}
+
+const ANCHOR: &str = "distribution";
+
+impl Part for SpaceSamples {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Failure rates".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        for drawn in &self.spaces {
+            out.paragraph(&drawn.introduction());
+            out.table(&drawn.table());
+            drawn.silent().iter().for_each(|line| out.paragraph(line));
+            if let Some((words, table)) = on_the_road(drawn) {
+                out.paragraph(&words);
+                out.table(&table);
+            }
+            out.figure(drawn.figure());
+        }
+    }
+}

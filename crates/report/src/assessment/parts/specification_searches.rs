@@ -1,0 +1,306 @@
+//! Searches for what a controller must not do besides touching somebody: braking without cause, braking imposed on others, disturbances
+//! enlarged, or any formula.
+
+use maud::html;
+use serde::Serialize;
+use serde_json::json;
+
+use super::failure_searches::{CounterexampleFiles, searched};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::commands::controller_arg;
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
+use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crumple_core::digest::sha256;
+use crumple_search::falsify::campaign::{Campaign, Summary};
+use crumple_search::falsify::counterexample::Counterexample;
+use crumple_world::measure::{Conduct, Specification};
+use crumple_world::sim::{NamedController, Unanswered};
+
+/// The part's anchor in the page.
+const ANCHOR: &str = "rules";
+
+/// What was searched for violations of rules, and what was found.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpecificationSearches {
+    /// An entry a space and rule.
+    pub searches: Vec<SpaceSpecificationSearches>,
+}
+
+/// Every controller, in one space, by one rule.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpaceSpecificationSearches {
+    /// The space.
+    pub space: Known,
+    /// The rule, as `--spec` takes it.
+    #[serde(rename = "rule")]
+    pub specification: String,
+    /// An entry a controller.
+    pub controllers: Vec<RuleSearch>,
+}
+
+/// What was found of one controller.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpecificationSearch {
+    /// The controller.
+    pub controller: String,
+    /// Evaluations of all methods.
+    pub evaluations: u64,
+    /// How many of them broke the rule.
+    pub violations: u64,
+    /// Evaluations in which the controller gave no answer: these neither keep a rule nor break it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
+    /// How many of the violations are distinct.
+    pub distinct: usize,
+    /// In which of its runs, from 1, the search met the first.
+    pub first: Option<u64>,
+    /// The one that goes furthest.
+    pub worst: Option<RuleViolation>,
+    /// How to search again; none of a controller from outside.
+    pub command: Option<Command>,
+}
+
+/// A run that broke a rule, shrunk.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpecificationViolation {
+    /// The scenario file, from the folder of the report.
+    pub file: String,
+    /// SHA-256 of that file.
+    pub sha256: String,
+    /// How to see it happen; none of a controller from outside.
+    pub replay: Option<Command>,
+    /// How far the rule holds: negative, in the rule's unit.
+    pub robustness: Rounded<3>,
+    /// What is not nominal.
+    pub changed: Vec<String>,
+    #[serde(skip)]
+    text: String,
+}
+
+/// One search.
+pub(in crate::assessment) struct SpecificationSearchPlan<'p> {
+    pub(in crate::assessment) space: &'p NamedSpace,
+    pub(in crate::assessment) specification: &'p str,
+    pub(in crate::assessment) controller: (usize, &'p NamedController),
+}
+
+impl<'p> SpecificationSearchPlan<'p> {
+    /// All of a plan.
+    pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
+        plan.spaces.iter().flat_map(move |space| {
+            plan.config.search.rules.iter().flat_map(move |rule| {
+                plan.controllers.iter().enumerate().map(move |controller| Self { space, rule, controller })
+            })
+        })
+    }
+
+    /// For readers; one of a kind in a plan.
+    pub(in crate::assessment) fn name(&self) -> String {
+        format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.rule)
+    }
+
+    pub(in crate::assessment) fn gather(
+        &self,
+        plan: &AssessmentPlan,
+        work: &Work<'_>,
+    ) -> Result<(Summary, Vec<CounterexampleFiles>), AssessError> {
+        let (controller, space) = (self.controller.1, &self.space.space);
+        let nominal = space.scenario(&space.nominal())?;
+        let campaign = Campaign {
+            estimator: plan.config.estimator,
+            specification: Specification::parse(self.rule, &nominal)?,
+            budget: plan.config.search.budget,
+            seed: plan.config.seed,
+            ..Campaign::new(controller.clone(), space.clone())
+        };
+        let item = self.name();
+        let inputs = json!([plan.identity(controller), self.space.text, self.rule, campaign.budget, campaign.seed]);
+        searched(&campaign, (&item, &inputs), 1, work)
+    }
+
+    fn summarize(&self, plan: &AssessmentPlan, (summary, texts): (Summary, Vec<CounterexampleFiles>)) -> RuleSearch {
+        let (index, controller) = self.controller;
+        let word = controller_arg(&controller.kind);
+        let seeing = plan.estimator_args().iter().copied();
+        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
+        let is_silent = |found: &&Counterexample| found.because.is_some();
+        let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
+        let worst = severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
+            let file = format!("counterexamples/rules/{stem}.toml");
+            let replay = word.as_deref().map(|word| {
+                let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);
+                simulate.and(seeing.clone()).and(["--expect", "violated"])
+            });
+            let changed = found.changed.iter().map(|one| match one.unit.as_str() {
+                "1" => format!("{} {}", one.parameter, one.value),
+                unit => format!("{} {} {unit}", one.parameter, one.value),
+            });
+            RuleViolation {
+                sha256: sha256(&text),
+                robustness: Rounded::new(found.robustness),
+                changed: changed.collect(),
+                file,
+                replay,
+                text,
+            }
+        });
+        let [budget, seed] = [plan.config.search.budget, plan.config.seed].map(|number| number.to_string());
+        let out = format!("searches/rules/{stem}");
+        let command = word.as_deref().map(|word| {
+            let space = self.space.word();
+            let what = ["falsify", "--controller", word, "--space", &space, "--spec", self.rule];
+            let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
+            Command::new(what).and(how).and(seeing.clone())
+        });
+        let silent = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
+        let runs: u64 = silent.clone().map(|kind| kind.count).sum();
+        let because = silent.filter_map(|kind| kind.because.clone()).next();
+        let because = because.unwrap_or_else(|| "of none of them is it known why".to_owned());
+        let breaking = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_none());
+        let by_method = breaking.flat_map(|kind| &kind.by_method).filter(|by| by.method == summary.method);
+        let failures: u64 = summary.methods.iter().map(|method| method.failures).sum();
+        RuleSearch {
+            controller: controller.name.clone(),
+            evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
+            violations: failures.saturating_sub(runs),
+            unanswered: (runs > 0).then_some(Unanswered { runs, because }),
+            distinct: summary.counterexamples.iter().filter(|found| !is_silent(found)).count(),
+            first: by_method.map(|by| by.first).min(),
+            worst,
+            command,
+        }
+    }
+}
+
+impl SpecificationSearches {
+    /// None if the plan has no rules.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let mut searches: Vec<SpaceSpecificationSearches> = Vec::new();
+        for one in SpecificationSearchPlan::all(plan) {
+            let found = one.found(plan, one.gather(plan, work)?);
+            if one.controller.0 == 0 {
+                let (space, rule) = (one.space.known.clone(), one.rule.to_owned());
+                searches.push(SpaceSpecificationSearches { space, rule, controllers: Vec::new() });
+            }
+            if let Some(last) = searches.last_mut() {
+                last.controllers.push(found);
+            }
+        }
+        Ok((!searches.is_empty()).then_some(Self { searches }))
+    }
+
+    /// What each search says.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let of = |searches: &SpaceSpecificationSearches| {
+            let domain = searches.domain(plan);
+            let claimants = plan.claimants().into_iter().zip(&searches.controllers);
+            let each = claimants.map(|(subject, search)| Evidence {
+                claim: Claim { subject, property: searches.property(), domain: domain.clone() },
+                strength: Strength::from_counts_with_unanswered(
+                    search.violations,
+                    search.evaluations,
+                    search.unanswered.as_ref(),
+                    false,
+                ),
+                source: Source::part(ANCHOR, format!("{} evaluations", search.evaluations)),
+            });
+            each.collect::<Vec<_>>()
+        };
+        self.searches.iter().flat_map(of).collect()
+    }
+
+    fn violations(&self) -> impl Iterator<Item = &RuleViolation> {
+        self.searches.iter().flat_map(|one| &one.controllers).filter_map(|search| search.worst.as_ref())
+    }
+
+    /// Scenarios that broke a rule, each a file of the report.
+    pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
+        self.violations().map(|one| (one.file.clone(), one.text.clone().into_bytes()))
+    }
+
+    /// How to see rules broken.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.violations().filter_map(|one| one.replay.as_ref())
+    }
+}
+
+impl SpaceSpecificationSearches {
+    /// What was tried of the space, as a domain.
+    pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
+        Domain::Search { space: self.space.clone(), seed: plan.config.seed, budget: plan.config.search.budget }
+    }
+
+    /// What is claimed by the rule.
+    pub(in crate::assessment) fn property(&self) -> Property {
+        match self.rule.parse() {
+            Ok(Conduct::NoBrakingWithoutCause) => Property::NoNeedlessBraking,
+            _ => Property::Keeps { rule: self.rule.clone() },
+        }
+    }
+
+    fn table(&self) -> Table {
+        let worst = |search: &RuleSearch, words: fn(&RuleViolation) -> String| search.worst.as_ref().map(words);
+        Table::of(
+            &self.controllers,
+            &[
+                ("controller", &|search| Cell::text(&search.controller)),
+                ("runs that break it", &|search| {
+                    let is_kept = search.violations == 0 && search.unanswered.is_none();
+                    Cell::judged(format!("{} of {}", search.violations, search.evaluations), is_kept)
+                }),
+                ("distinct", &|search| Cell::number(search.distinct)),
+                ("first after (runs)", &|search| Cell::optional(search.first)),
+                ("robustness", &|search| Cell::optional(worst(search, |one| one.robustness.to_string()))),
+                ("what is not nominal", &|search| {
+                    Cell::text(worst(search, |one| one.changed.join(", ")).unwrap_or_else(|| "–".to_owned()))
+                }),
+            ],
+        )
+    }
+
+    /// Of each controller that gave no answer in some runs: in how many, and why.
+    fn unanswered_notes(&self) -> impl Iterator<Item = String> {
+        let silent = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
+        silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.words(search.evaluations)))
+    }
+
+    fn replay_commands(&self) -> impl Iterator<Item = &Command> {
+        self.controllers.iter().filter_map(|search| search.worst.as_ref()?.replay.as_ref())
+    }
+
+    fn title(&self) -> String {
+        format!("{} in {}", self.rule, self.space.name)
+    }
+}
+
+const INTRODUCTION: &str = "Whoever touches nobody may still drive as nobody could on a road. For each rule a search with two reference \
+    searches looks for runs that break it; the one that goes furthest is shrunk and kept. Robustness is how far the rule is from being \
+    broken, negative where it is.";
+
+impl Part for SpecificationSearches {
+    fn heading(&self) -> (&'static str, String) {
+        (ANCHOR, "Rules of conduct".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        out.paragraph(INTRODUCTION);
+        for one in &self.searches {
+            out.heading(&one.heading());
+            out.table(&one.table());
+            one.silent().for_each(|line| out.paragraph(&line));
+            out.html(html! { p.replay { @for command in one.replays() { code { (command) } " " } } });
+            out.folded("search again", |out| {
+                out.commands(one.controllers.iter().filter_map(|search| search.command.as_ref()));
+            });
+            out.markdown().list(one.replays().map(Inline::code));
+        }
+    }
+}

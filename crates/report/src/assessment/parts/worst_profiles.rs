@@ -1,0 +1,286 @@
+//! The gentlest lead braking that makes each controller collide.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::worst_figure;
+use crate::assessment::avoidance::Best;
+use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
+use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use crate::assessment::commands::controller_arg;
+use crate::assessment::document::Document;
+use crate::assessment::markdown::Inline;
+use crate::assessment::table::{Cell, Table};
+use crate::assessment::gather_context::Work;
+use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crumple_core::observer::Quiet;
+use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, attack};
+use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::sim::{NamedController, RunOptions};
+
+/// The scenario whose leader brakes.
+const SCENARIO: &str = "paper-1";
+
+/// Most simulations for each controller, roughly: what `crumple worst-case` does unless told otherwise.
+pub(in crate::assessment) const ATTACK_BUDGET: usize = 3000;
+
+/// The mildest braking of the leader found against every controller.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct WorstProfiles {
+    /// The scenario whose leader brakes.
+    pub scenario: &'static str,
+    /// Its length, in seconds.
+    pub duration_s: Rounded<2>,
+    /// Hardest braking the leader was allowed, in m/s².
+    pub max_brake_mps2: Rounded<2>,
+    /// Fastest change of its acceleration, in m/s³.
+    pub max_jerk_mps3: Rounded<1>,
+    /// One entry a controller.
+    pub profiles: Vec<WorstProfile>,
+    #[serde(skip)]
+    content_id: Known,
+}
+
+/// What was found against one controller.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct WorstProfile {
+    /// The controller.
+    pub controller: String,
+    /// How to find it again; none of a controller from outside.
+    pub replay: Option<Command>,
+    /// Simulations spent.
+    pub evaluations: usize,
+    /// Convex programs solved.
+    pub programs: usize,
+    /// The mildest braking that makes it collide; none if none was found.
+    pub mildest: Option<MildestAttack>,
+}
+
+/// A braking of the leader that ends in a collision.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MildestAttack {
+    /// Hardest deceleration of the leader, in m/s².
+    pub peak_brake_mps2: Rounded<2>,
+    /// ∫ a² of the leader, in m²/s³.
+    pub effort_m2ps3: Rounded<2>,
+    /// What follows.
+    pub verdict: CaseVerdict,
+    /// What follows if all vehicles drive on after that.
+    pub pile_up: Option<PileUp>,
+    /// Whether a driver could have avoided it.
+    #[serde(rename = "best")]
+    pub avoidance: Best,
+    /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s. None where the
+    /// controller gave no answer.
+    pub predicted_margin_m: Option<Rounded<3>>,
+    /// The margin that the simulation has, in metres; none where the controller gave no answer.
+    pub margin_m: Option<Rounded<3>>,
+    /// Search that found it, which decides if a milder one is ruled out on this grid.
+    pub method: AttackMethod,
+    /// The profile, for the figure.
+    #[serde(skip)]
+    pub(super) profile: Option<Pieces>,
+}
+
+impl WorstProfiles {
+    /// What is braked for; none if the plan leaves the paper out.
+    pub(in crate::assessment) fn scenario(plan: &AssessmentPlan) -> Result<Option<(Scenario, Envelope)>, AssessError> {
+        let Some(scenario) = built_in(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
+        let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
+        let envelope = Envelope::of(&scenario);
+        Ok(Some((scenario, envelope)))
+    }
+
+    /// None if the scenario is not shipped.
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+        let Some((scenario, envelope)) = Self::scenario(plan)? else { return Ok(None) };
+        let known = Known::scenario(SCENARIO, &scenario);
+        let against =
+            |controller: &NamedController| WorstProfile::gather(plan, (&scenario, envelope), controller, work);
+        let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
+        Ok(Some(Self {
+            scenario: SCENARIO,
+            known,
+            duration_s: scenario.spec().duration_s.into(),
+            max_brake_mps2: envelope.max_brake_mps2.into(),
+            max_jerk_mps3: envelope.jerk_mps3.into(),
+            profiles,
+        }))
+    }
+
+    /// What the search against each controller says.
+    pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        let of = |(subject, profile): (Subject, &WorstProfile)| {
+            let strength = match &profile.mildest {
+                Some(mildest) if mildest.verdict.unanswered().is_some() => {
+                    Strength::from_counts_with_unanswered(0, 1, mildest.verdict.unanswered().as_ref(), true)
+                }
+                Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
+                // A search that found nothing is as many tests.
+                None => Strength::of(0, profile.evaluations as u64),
+            };
+            let claim = Claim { subject, property: Property::NoContact, domain: self.domain() };
+            Evidence { claim, strength, source: Source::part("worst", format!("{} simulations", profile.evaluations)) }
+        };
+        plan.claimants().into_iter().zip(&self.profiles).map(of).collect()
+    }
+
+    /// The scenario with any braking of its leader, as a domain.
+    pub(in crate::assessment) fn domain(&self) -> Domain {
+        Domain::AnyLeaderBraking { scenario: self.known.clone() }
+    }
+
+    /// Commands that find the profiles again.
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+        self.profiles.iter().filter_map(|profile| profile.replay.as_ref())
+    }
+
+    fn attacks(&self) -> impl Iterator<Item = (&str, &MildestAttack)> {
+        self.profiles.iter().filter_map(|profile| Some((profile.controller.as_str(), profile.mildest.as_ref()?)))
+    }
+
+    fn table(&self) -> Table {
+        Table::of(
+            self.found(),
+            &[
+                ("controller", &|(controller, _)| Cell::text(controller)),
+                ("peak of the leader (m/s²)", &|(_, mildest)| Cell::number(mildest.peak_brake_mps2)),
+                ("∫a² (m²/s³)", &|(_, mildest)| Cell::number(mildest.effort_m2ps3)),
+                ("what follows", &|(_, mildest)| Cell::marked(mildest.verdict.words(), mildest.verdict.mark())),
+                ("pile-up (vehicles)", &|(_, mildest)| Cell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("gap of the best escape found", &|(_, mildest)| Cell::text(mildest.best.brief())),
+                ("margin predicted (m)", &|(_, mildest)| Cell::optional(mildest.predicted_margin_m)),
+                ("simulated (m)", &|(_, mildest)| Cell::optional(mildest.margin_m)),
+                ("a milder one is", &|(_, mildest)| {
+                    Cell::text(match mildest.method {
+                        _ if mildest.verdict.unanswered().is_some() => "–",
+                        AttackMethod::Exact => "ruled out on this grid",
+                        AttackMethod::Widened => "not ruled out, but near the least",
+                        AttackMethod::Sequential => "not ruled out",
+                    })
+                }),
+            ],
+        )
+    }
+
+    fn introduction(&self) -> String {
+        format!(
+            "How little must the leader of {} brake for a controller to collide? Any braking up to {} m/s² that changes by at \
+             most {} m/s³ may take the place of its script; mild is what has a small ∫a². Against the baseline the search \
+             enumerates when its brake fires, exactly for the true state and somewhat beyond it for a filter. Against the others it \
+             simulates pulses and ramps and improves the best of them along rollouts. That braking is the best found, and a milder \
+             one may exist. Each profile was simulated: the margin, the smallest gap or minus v²/10 after a contact at v \
+             m/s, stands beside what the last convex program predicted. A program aims a little beyond the edge of contact, and \
+             for the baseline it predicts no more than that: once its brake fires, the impact is whatever follows.",
+            self.scenario, self.max_brake_mps2, self.max_jerk_mps3
+        )
+    }
+
+    fn describe_avoidable(&self) -> String {
+        let touching = self.found().filter(|(_, mildest)| mildest.verdict.unanswered().is_none());
+        let (found, avoidable) = touching.fold((0, 0), |(found, avoidable), (_, mildest)| {
+            (found + 1, avoidable + usize::from(matches!(mildest.best, Best::Avoidable { .. })))
+        });
+        format!("Another driver would have avoided {avoidable} of these {found} collisions.")
+    }
+
+    /// For each controller that withstood, how hard was tried.
+    fn describe_withstood(&self) -> Vec<String> {
+        let none = self.profiles.iter().filter(|profile| profile.mildest.is_none());
+        none.map(|profile| {
+            format!(
+                "{}: no braking was found that makes it collide, in {} simulations and {} convex programs. This is \
+                 no proof that there is none.",
+                profile.controller, profile.evaluations, profile.programs
+            )
+        })
+        .collect()
+    }
+}
+
+impl WorstProfile {
+    pub(in crate::assessment) fn gather(
+        plan: &AssessmentPlan,
+        (scenario, envelope): (&Scenario, Envelope),
+        controller: &NamedController,
+        work: &Work<'_>,
+    ) -> Result<Self, AssessError> {
+        let item = format!("worst profile against {}", controller.name);
+        // The profile stands beside: evidence that is published holds rounded numbers only.
+        let (mut found, profile): (Self, Option<Pieces>) =
+            work.get(&item, &(plan.config.seed, plan.identity(controller)), || {
+                let found = Self::of(scenario, controller, envelope, plan)?;
+                let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
+                Ok::<_, AssessError>((found, profile))
+            })?;
+        if let Some(mildest) = &mut found.mildest {
+            mildest.profile = profile;
+        }
+        work.did(BUDGET as u64)?;
+        Ok(found)
+    }
+
+    fn search(
+        scenario: &Scenario,
+        controller: &NamedController,
+        envelope: Envelope,
+        plan: &AssessmentPlan,
+    ) -> Result<Self, AssessError> {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+        let AttackResult { found, evaluations, programs } =
+            attack(scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet)?;
+        let mildest = match found {
+            Some(attack) => MildestAttack::of(attack, controller, plan)?,
+            None => None,
+        };
+        let replay = controller_arg(&controller.kind).map(|word| {
+            let attack = Command::new(["worst-case", SCENARIO, "--controller", word.as_str()]);
+            attack.and(plan.estimator_args().iter().copied())
+        });
+        Ok(Self { controller: controller.name.clone(), replay, evaluations, programs, mildest })
+    }
+}
+
+impl MildestAttack {
+    fn from_attack(attack: Attack, controller: &NamedController, plan: &AssessmentPlan) -> Result<Option<Self>, AssessError> {
+        let one = std::slice::from_ref(controller);
+        let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, Motion::Dropped)?;
+        let Some(Case { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
+        let best = Best::of(&attack.scenario);
+        let leader = attack.scenario.vehicles().first().map(|leader| &leader.driver);
+        let Some(Driver::Profile(LeadProfile::Pieces(profile))) = leader.cloned() else { return Ok(None) };
+        Ok(Some(Self {
+            peak_brake_mps2: attack.peak_brake_mps2.into(),
+            effort_m2ps3: attack.effort_m2ps3.into(),
+            verdict,
+            pile_up,
+            best,
+            predicted_margin_m: attack.outcome.failed().is_none().then(|| attack.predicted_margin_m.into()),
+            margin_m: attack.outcome.failed().is_none().then(|| attack.margin_m.into()),
+            method: attack.method,
+            profile: Some(profile),
+        }))
+    }
+}
+
+impl Part for WorstProfiles {
+    fn heading(&self) -> (&'static str, String) {
+        ("worst", "Worst brake profiles".to_owned())
+    }
+
+    fn write(&self, out: &mut Document) {
+        out.paragraph(&self.introduction());
+        if self.found().next().is_some() {
+            out.table(&self.table());
+            out.paragraph(&self.avoidable());
+            out.figure(worst_profiles_figure::responsive(self.found(), self.duration_s.value()));
+        }
+        self.withstood().iter().for_each(|line| out.paragraph(line));
+        out.folded("commands that find them again", |out| out.commands(self.commands()));
+        out.markdown().paragraph("Commands that find them again:");
+        out.markdown().list(self.commands().map(Inline::code));
+    }
+}

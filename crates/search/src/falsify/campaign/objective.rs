@@ -1,0 +1,110 @@
+//! What a search is after once it knows failures.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::Evaluated;
+
+/// Which failure is the best one to find. Until there is one, every search follows the robustness.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SearchObjective {
+    /// The smallest robustness: after a contact the hardest impact.
+    #[default]
+    Severest,
+    /// The greatest density under the space's distribution.
+    Likeliest,
+    /// The smallest distance from nominal.
+    Nearest,
+}
+
+/// A name that is not that of an aim.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no aim `{name}`; there are: {}", SearchObjective::ALL.map(SearchObjective::name).join(", "))]
+pub struct UnknownObjective {
+    /// The name.
+    pub name: String,
+}
+
+impl SearchObjective {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Severest, Self::Likeliest, Self::Nearest];
+
+    /// The name used on the command line and in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Severest => "severest",
+            Self::Likeliest => "likeliest",
+            Self::Nearest => "nearest",
+        }
+    }
+
+    /// What a search is told, smaller being better: the robustness where nothing fails; below that, for failures, a number
+    /// that is the smaller the nearer they are to the aim.
+    #[must_use]
+    pub(crate) fn cost(self, evaluated: &Evaluated) -> f64 {
+        let robustness = evaluated.verdict.robustness;
+        let fails = robustness < 0.0;
+        match self {
+            Self::Likeliest if fails => -2.0 - squashed(evaluated.ln_likelihood),
+            Self::Nearest if fails => -2.0 + evaluated.departure,
+            _ => robustness,
+        }
+    }
+}
+
+/// From all numbers, infinite ones included, to those between -1 and 1, in the same order.
+fn squash(x: f64) -> f64 {
+    if x.is_infinite() { x.signum() } else { x / (1.0 + x.abs()) }
+}
+
+impl fmt::Display for SearchObjective {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+impl FromStr for SearchObjective {
+    type Err = UnknownObjective;
+
+    fn from_str(name: &str) -> Result<Self, UnknownObjective> {
+        let found = Self::ALL.into_iter().find(|aim| aim.name() == name);
+        found.ok_or_else(|| UnknownObjective { name: name.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::measure::RunVerdict;
+    use proptest::prelude::*;
+
+    fn evaluated(robustness: f64, ln_likelihood: f64, departure: f64) -> Evaluated {
+        let verdict = RunVerdict::new(robustness);
+        Evaluated { number: 1, point: vec![0.5], values: vec![0.5], ln_likelihood, departure, verdict }
+    }
+
+    proptest! {
+        /// A failure is better than none, and of two the one that is nearer to the aim is.
+        #[test]
+        fn failures_come_first_and_are_ordered_by_the_aim(
+            safe in 0.0..100.0f64,
+            deep in [-50.0..-1e-9f64, -50.0..-1e-9],
+            likely in [prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64], prop_oneof![Just(f64::NEG_INFINITY), -90.0..30.0f64]],
+            far in [0.0..1.0f64, 0.0..1.0],
+        ) {
+            let [one, other] = [0, 1].map(|i| evaluated(deep[i], likely[i], far[i]));
+            for aim in SearchObjective::ALL {
+                prop_assert_eq!(aim.name().parse::<SearchObjective>(), Ok(aim));
+                prop_assert!(aim.value(&one) < aim.value(&evaluated(safe, likely[0], far[0])));
+            }
+            prop_assert_eq!(SearchObjective::Severest.value(&one) < SearchObjective::Severest.value(&other), deep[0] < deep[1]);
+            prop_assert_eq!(SearchObjective::Nearest.value(&one) < SearchObjective::Nearest.value(&other), far[0] < far[1]);
+            prop_assert_eq!(SearchObjective::Likeliest.value(&one) < SearchObjective::Likeliest.value(&other), likely[0] > likely[1]);
+        }
+    }
+}

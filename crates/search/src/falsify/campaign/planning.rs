@@ -1,0 +1,46 @@
+//! How fast evaluations go and how much shards of a campaign leave behind: for planning one.
+
+use std::time::{Duration, Instant};
+
+use super::resolved_config::Terms;
+use super::{Campaign, CampaignError, EvaluationLog};
+use crate::falsify::Method;
+use crumple_store::jobs::run_on_one_core;
+
+/// Bytes of a shard's failures, more or less: three of each of six kinds, each with two scenarios, and a front of thirty.
+const FAILURE_BYTES: u64 = 90_000;
+
+impl Campaign {
+    /// Evaluations in a second of one core, measured with uniform points for about as long as is said. What it takes to look at failures
+    /// closely comes besides, in every shard.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if a run cannot be made.
+    pub fn evaluations_per_second(&self, during: Duration) -> Result<f64, CampaignError> {
+        let terms = Terms::of(self, EvaluationLog::Summary)?;
+        self.check(&terms.nominal)?;
+        run_on_one_core(|| {
+            let mut search = Method::Uniform.start(&terms.cube, self.seed);
+            let (begun, mut evaluations) = (Instant::now(), 0_u64);
+            while evaluations == 0 || begun.elapsed() < during {
+                evaluations += self.evaluate(&terms.space, &search.ask())?.len() as u64;
+            }
+            Ok(evaluations as f64 / begun.elapsed().as_secs_f64().max(1e-9))
+        })
+    }
+
+    /// Bytes that all shards leave behind, more or less.
+    #[must_use]
+    pub fn estimated_bytes(&self, shards: u32) -> u64 {
+        let dimension = self.space.dimension() as u64;
+        // Four cells a hexadecimal digit.
+        let cells = 10 * dimension + 100 * (dimension * dimension.saturating_sub(1) / 2);
+        u64::from(shards) * (FAILURE_BYTES + self.methods().len() as u64 * cells / 4)
+    }
+
+    /// The most shards that it can be divided into.
+    #[must_use]
+    pub fn max_shards(&self) -> u32 {
+        u32::try_from(self.budget).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
+    }
+}

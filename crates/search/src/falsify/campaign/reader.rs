@@ -1,0 +1,393 @@
+//! Looking at a campaign while it runs, and afterwards. Nothing is locked and nothing written: the campaign does not know.
+//!
+//! While it runs, the journal has what every evaluation was worth, and the search, asked again and told the same values, says
+//! where each of them was. Once it is complete, the tables have both, checked by their hashes as everything else that is read then.
+
+use std::path::{Path, PathBuf};
+
+use super::config::CampaignRecord;
+use super::failures::Failures;
+use super::run::{CONFIGURATION, JOURNAL_FILE, SUMMARY};
+use super::resolved_config::Terms;
+use super::{CampaignError, Evaluated, FailureKind, FrontPoint, Summary, journal, table};
+use crate::falsify::{Method, Search};
+use crumple_store::disk;
+use crumple_store::work::{self, Finished, Found, WorkError};
+use crumple_world::measure::{RunVerdict, Specification};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::Space;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::NamedController;
+
+/// Most evaluations that are looked at: the first ones. Each takes some 400 bytes.
+pub const MAX_READ_EVALUATIONS: usize = 200_000;
+
+/// Most bytes of `campaign.toml`.
+const MAX_CONFIGURATION_BYTES: u64 = file::MOST_BYTES;
+
+/// What can be seen of a campaign in a folder.
+#[derive(Debug)]
+pub struct CampaignReader {
+    folder: PathBuf,
+    config: Terms,
+    evaluations: Vec<(Method, Evaluated)>,
+    failures: Failures,
+    stage: ReaderStage,
+}
+
+/// How far it was when it was looked at last.
+#[derive(Debug)]
+enum ReaderStage {
+    Running(JournalTail),
+    Finished { finished: Finished, summary: Box<Summary>, parts: Vec<String> },
+}
+
+/// Where a search is that is asked again.
+#[derive(Debug)]
+struct JournalTail {
+    identity: String,
+    /// Which of the methods, and its search.
+    method: usize,
+    search: Option<Box<dyn Search>>,
+    /// Evaluations of this method.
+    evaluation_count: u64,
+    pending_points: Vec<Vec<f64>>,
+    pending_costs: Vec<f64>,
+}
+
+impl CampaignReader {
+    /// Looks at the campaign in a folder for the first time; [`Self::go_on`] reads evaluations.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if there is none, it is damaged, or another build of crumple is at work on it.
+    pub fn open(folder: &Path) -> Result<Self, CampaignError> {
+        let damaged = |name: &str, problem: String| WorkError::damaged(&folder.join(name), problem);
+        let other_kind =
+            |found: String| WorkError::OtherKind { path: folder.join(work::MANIFEST), found, kind: KIND.to_owned() };
+        let (text, stage) = match work::find(folder)? {
+            Found::Nothing => {
+                return Err(CampaignError::Folder(format!("{}: no campaign has begun there", folder.display())));
+            }
+            Found::HalfDone(kind) if kind == KIND => {
+                let path = folder.join(CONFIGURATION);
+                let bytes = disk::read(&path, MOST_BYTES)?.ok_or_else(|| WorkError::missing(&path))?;
+                let text = String::from_utf8(bytes).map_err(|error| damaged(CONFIGURATION, error.to_string()))?;
+                let following = JournalTail {
+                    identity: work::identity(KIND, &text)?,
+                    method: 0,
+                    search: None,
+                    made: 0,
+                    asked: Vec::new(),
+                    told: Vec::new(),
+                };
+                (text, ReaderStage::Running(following))
+            }
+            Found::Finished(finished) if finished.kind() == KIND => {
+                let text = finished.read_configuration(CONFIGURATION)?;
+                let summary = Box::new(Summary::from_json(&finished.read(SUMMARY)?)?);
+                let mut parts: Vec<String> =
+                    finished.names().into_iter().filter(|name| name.starts_with("evaluations/")).collect();
+                parts.sort_unstable_by(|one, other| other.cmp(one));
+                (text, ReaderStage::Finished { finished, summary, parts })
+            }
+            Found::HalfDone(kind) => return Err(other_kind(kind).into()),
+            Found::Finished(finished) => return Err(other_kind(finished.kind().to_owned()).into()),
+        };
+        let record: CampaignRecord =
+            toml::from_str(&text).map_err(|error| damaged(CONFIGURATION, error.message().to_owned()))?;
+        let terms = Terms::told(record, false).map_err(|problem| damaged(CONFIGURATION, problem))?;
+        let failures = Failures::new(terms.specification.clone());
+        Ok(Self { folder: folder.to_owned(), terms, evaluations: Vec::new(), failures, stage })
+    }
+
+    /// Reads on, at most some `most` evaluations or one table. Whether more may be there at once.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if what is there is damaged, or is not that campaign any more.
+    pub fn poll(&mut self, most: usize) -> Result<bool, CampaignError> {
+        let most = most.min(MOST_SHOWN.saturating_sub(self.evaluations.len()));
+        match &mut self.stage {
+            ReaderStage::Finished { finished, parts, .. } => {
+                let Some(name) = parts.last() else { return Ok(false) };
+                // A damaged table stays the next one, so that every later call reports the damage, too.
+                let rows = table::decode(name, &finished.read_bytes(name)?, &self.terms)?;
+                parts.pop();
+                let left = MOST_SHOWN.saturating_sub(self.evaluations.len());
+                for (method, evaluated) in rows.into_iter().take(left) {
+                    self.failures.add(&method, &evaluated);
+                    self.evaluations.push((method, evaluated));
+                }
+                if self.evaluations.len() >= MOST_SHOWN {
+                    parts.clear();
+                }
+                Ok(!parts.is_empty())
+            }
+            ReaderStage::Running(_) if !matches!(work::find(&self.folder)?, Found::HalfDone(_)) => {
+                // It has come to its end, and its tables have everything.
+                let now = Self::at(&self.folder)?;
+                if now.terms.record != self.terms.record {
+                    return Err(CampaignError::Folder(format!(
+                        "{}: another campaign is there now",
+                        self.folder.display()
+                    )));
+                }
+                *self = now;
+                Ok(true)
+            }
+            ReaderStage::Running(following) => {
+                let known = self.evaluations.len();
+                let verdicts = journal::after(&self.folder.join(JOURNAL_FILE), &following.identity, known as u64, most)?;
+                // Between its beginning and its journal, or between that and its end.
+                let Some(verdicts) = verdicts else { return Ok(false) };
+                let is_more = most > 0 && verdicts.len() == most;
+                for verdict in verdicts {
+                    let Some((method, evaluated)) = following.next(&self.terms, verdict) else { return Ok(false) };
+                    self.failures.add(&method, &evaluated);
+                    self.evaluations.push((method, evaluated));
+                }
+                Ok(is_more)
+            }
+        }
+    }
+
+    /// Evaluations in the order in which they were made, as far as they were read and kept.
+    #[must_use]
+    pub fn evaluations(&self) -> &[(Method, Evaluated)] {
+        &self.evaluations
+    }
+
+    /// What was put under test.
+    #[must_use]
+    pub fn controller(&self) -> &str {
+        &self.terms.record.controller
+    }
+
+    /// Returns true if a controller is the recorded one: by its name and, where the record states one, its identity.
+    #[must_use]
+    pub fn is_for_controller(&self, controller: &NamedController) -> bool {
+        let record = &self.terms.record;
+        controller.name == record.controller
+            && controller.policy().map(|policy| policy.digest()) == record.policy_sha256
+            && controller.disambiguating_hash() == record.controller_sha256
+    }
+
+    /// What it looked through.
+    #[must_use]
+    pub fn estimator(&self) -> EstimatorKind {
+        self.terms.record.estimator
+    }
+
+    /// Where failures are looked for.
+    #[must_use]
+    pub fn space(&self) -> &Space {
+        &self.terms.space
+    }
+
+    /// What must hold.
+    #[must_use]
+    pub fn specification(&self) -> &Specification {
+        &self.terms.specification
+    }
+
+    /// The methods in the order in which they run.
+    #[must_use]
+    pub fn methods(&self) -> Vec<Method> {
+        self.terms.methods()
+    }
+
+    /// Evaluations there will be, of all methods together.
+    #[must_use]
+    pub fn total_evaluations(&self) -> u64 {
+        self.terms.record.budget.saturating_mul(self.methods().len() as u64)
+    }
+
+    /// What it came to; none while it runs.
+    #[must_use]
+    pub fn summary(&self) -> Option<&Summary> {
+        match &self.stage {
+            ReaderStage::Finished { summary, .. } => Some(summary),
+            ReaderStage::Running(_) => None,
+        }
+    }
+
+    /// Of all failures, those that no other one beats both in severity and in likelihood: of what was read while it runs, of
+    /// everything once it is complete.
+    #[must_use]
+    pub fn front(&self) -> Vec<FrontPoint> {
+        match &self.stage {
+            ReaderStage::Finished { summary, .. } => summary.front.clone(),
+            ReaderStage::Running(_) => self.failures.front.points(&self.terms.specification, &self.terms.nominal),
+        }
+    }
+
+    /// What happens in an evaluation, in words; none if nothing fails.
+    #[must_use]
+    pub fn describe_failure(&self, evaluated: &Evaluated) -> Option<String> {
+        let verdict = &evaluated.verdict;
+        // A table does not say which controller failed.
+        if verdict.robustness == f64::NEG_INFINITY && verdict.contact.is_none() && verdict.failed.is_none() {
+            return Some("a controller fails".to_owned());
+        }
+        FailureKind::of(verdict, &self.terms.specification).map(|kind| kind.describe(&self.terms.nominal))
+    }
+
+    /// The scenario of values, with the campaign's noise.
+    ///
+    /// # Errors
+    /// [`CampaignError::Scenario`] for values outside the space.
+    pub fn scenario(&self, values: &[f64]) -> Result<Scenario, CampaignError> {
+        Ok(self.terms.space.scenario(values)?)
+    }
+
+    /// The file of a distinct failure, by its place in the summary; none if there is no such failure.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if it is not as it was written.
+    pub fn counterexample(&self, place: usize) -> Result<Option<Scenario>, CampaignError> {
+        let ReaderStage::Finished { finished, summary, .. } = &self.stage else { return Ok(None) };
+        let Some(found) = summary.counterexamples.get(place) else { return Ok(None) };
+        let text = finished.read(&found.file)?;
+        let scenario = file::from_toml(&text, &self.folder.join(&found.file));
+        Ok(Some(scenario.map_err(|error| CampaignError::Encoding(error.to_string()))?))
+    }
+}
+
+/// What kind of work a campaign is.
+const CAMPAIGN_KIND: &str = "campaign";
+
+impl JournalTail {
+    /// The evaluation that a verdict is of, as the search says that is told all of them; none beyond the last.
+    fn next_evaluation(&mut self, terms: &Terms, verdict: RunVerdict) -> Option<(Method, Evaluated)> {
+        let methods = terms.methods();
+        let (seed, budget) = (terms.record.seed, terms.record.budget);
+        if self.made == budget {
+            (self.method, self.made, self.search) = (self.method + 1, 0, None);
+            self.asked.clear();
+            self.told.clear();
+        }
+        let method = methods.get(self.method)?.clone();
+        let search = self.search.get_or_insert_with(|| method.start(&terms.cube, seed));
+        if self.told.len() == self.asked.len() {
+            if !self.asked.is_empty() {
+                search.tell(&self.told);
+            }
+            self.told.clear();
+            self.asked = search.ask();
+            self.asked.truncate(usize::try_from(budget - self.made).unwrap_or(usize::MAX));
+        }
+        let point = self.asked.get(self.told.len())?.clone();
+        self.made += 1;
+        let evaluated = Evaluated {
+            number: self.made,
+            values: terms.space.values(&point),
+            ln_likelihood: terms.space.ln_likelihood(&point),
+            departure: terms.departure(&point),
+            point,
+            verdict,
+        };
+        self.told.push(terms.record.aim.value(&evaluated));
+        Some((method, evaluated))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::falsify::campaign::{Aim, Campaign, CampaignOptions, CampaignProgress};
+    use crumple_core::observer::{Listener, Quiet};
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::space::built_in_space;
+    use std::fs;
+    use std::sync::Mutex;
+
+    fn read_all(look: &mut CampaignReader) {
+        while look.go_on(37).unwrap() {}
+    }
+
+    /// What is seen of a campaign at any moment is the beginning of what is seen of it in the end, to the last bit.
+    #[test]
+    fn a_campaign_looks_the_same_while_it_runs_and_afterwards() {
+        for (method, aim, space) in [
+            (Method::Auto, Aim::Likeliest, "high-risk"),
+            (Method::CmaEs, Aim::Severest, "high-risk"),
+            (Method::Uniform, Aim::Severest, "paper"),
+        ] {
+            let campaign = Campaign {
+                estimator: EstimatorKind::Truth,
+                method,
+                aim,
+                budget: 300,
+                seed: 7,
+                ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space(space).unwrap())
+            };
+            let parent = tempfile::tempdir().unwrap();
+            let folder = parent.path().join("campaign");
+            assert!(CampaignReader::at(&folder).is_err());
+            // The early look, what it saw, and the reports of progress so far.
+            let state = Mutex::new((None::<CampaignReader>, Vec::new(), 0));
+            let observer = Listener(|progress: &CampaignProgress| {
+                let (early, seen, reports) = &mut *state.lock().unwrap();
+                *reports += 1;
+                // As it writes: now and then, beginning in its middle too.
+                if *reports % 5 == 2 {
+                    let look = early.get_or_insert_with(|| CampaignReader::at(&folder).unwrap());
+                    all(look);
+                    seen.push((progress.evaluations, look.evaluations().len() as u64));
+                    let mut fresh = CampaignReader::at(&folder).unwrap();
+                    all(&mut fresh);
+                    assert_eq!(fresh.evaluations(), look.evaluations());
+                }
+            });
+            let summary = campaign.run(&folder, CampaignOptions::default(), &observer).unwrap();
+            let (early, seen, _) = state.into_inner().unwrap();
+            assert!(seen.iter().any(|(_, seen)| *seen > 100), "{seen:?}");
+            assert!(seen.iter().all(|(made, seen)| seen >= made), "{seen:?}");
+            let while_running = early.as_ref().unwrap().evaluations().to_vec();
+            let mut finished = CampaignReader::at(&folder).unwrap();
+            all(&mut finished);
+            assert_eq!(finished.evaluations().len() as u64, finished.total());
+            // Tables hold values, and of a choice any point of its share has the same.
+            let seen =
+                |(method, one): &(Method, Evaluated)| (method.clone(), one.number, one.values.clone(), one.verdict);
+            let same = finished.evaluations()[..while_running.len()].iter().map(seen);
+            assert!(same.eq(while_running.iter().map(seen)));
+            assert_eq!((finished.summary(), finished.front()), (Some(&summary), summary.front.clone()));
+            let mut early = early.unwrap();
+            all(&mut early);
+            assert!(early.evaluations().iter().map(seen).eq(finished.evaluations().iter().map(seen)));
+            for (place, found) in summary.counterexamples.iter().enumerate() {
+                assert_eq!(
+                    early.counterexample(place).unwrap().unwrap(),
+                    file::load(&folder.join(&found.file)).unwrap()
+                );
+            }
+            assert!(early.counterexample(summary.counterexamples.len()).unwrap().is_none());
+        }
+    }
+    /// Every request after the first one, too, and until the table is whole again.
+    #[test]
+    fn damage_stays_visible_as_long_as_it_is_there() {
+        let campaign = Campaign {
+            estimator: EstimatorKind::Truth,
+            method: Method::Uniform,
+            budget: 40,
+            seed: 7,
+            ..Campaign::new(ControllerSpec::named("match-leader").unwrap(), built_in_space("high-risk").unwrap())
+        };
+        let folder = tempfile::tempdir().unwrap();
+        campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
+        let table = fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
+        let whole = fs::read(&table).unwrap();
+        let mut damaged = whole.clone();
+        damaged[whole.len() / 2] ^= 1;
+        fs::write(&table, damaged).unwrap();
+        let mut look = CampaignReader::at(folder.path()).unwrap();
+        for _ in 0..3 {
+            let error = look.go_on(1000).unwrap_err().to_string();
+            assert!(error.ends_with("not as it was written"), "{error}");
+        }
+        fs::write(&table, whole).unwrap();
+        all(&mut look);
+        assert_eq!(look.evaluations().len() as u64, look.total());
+    }
+}

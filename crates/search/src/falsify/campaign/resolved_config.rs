@@ -1,0 +1,83 @@
+//! What a campaign is about, without the controller itself: enough to say what was found, not to search.
+
+use std::path::Path;
+
+use super::config::{CampaignRecord, methods};
+use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluationLog};
+use crate::falsify::{UnitCube, Method};
+use crumple_world::measure::Specification;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::Space;
+
+/// What evaluations are of, and how what was found is told.
+#[derive(Debug, Clone)]
+pub(in crate::falsify) struct ResolvedConfig {
+    pub(in crate::falsify) record: CampaignRecord,
+    /// Whether the controller says so of itself.
+    pub(in crate::falsify) nondeterministic: bool,
+    /// With its noise.
+    pub(in crate::falsify) space: Space,
+    pub(in crate::falsify) specification: Specification,
+    pub(in crate::falsify) cube: UnitCube,
+    /// The nominal scenario, and where it is in the cube.
+    pub(in crate::falsify) nominal: Scenario,
+    nominal_point: Vec<f64>,
+}
+
+impl ResolvedConfig {
+    pub(super) fn from_campaign(campaign: &Campaign, log: EvaluationLog) -> Result<Self, CampaignError> {
+        let record = CampaignRecord::of(campaign, log);
+        let is_deterministic = campaign.drivers().all(|driver| driver.kind.is_deterministic());
+        Self::with(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
+    }
+
+    /// From what a file says of a campaign that can be divided.
+    pub(super) fn from_shard_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
+        if record.divided.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
+            return Err("not a campaign that can be divided".to_owned());
+        }
+        Self::told(record, nondeterministic)
+    }
+
+    /// From what a file says.
+    pub(super) fn from_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
+        if record.version != CAMPAIGN_VERSION {
+            return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
+        }
+        // A space is written with its base spelled out, so that no folder is looked into.
+        let space = Space::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
+        if *space.spec() != record.space {
+            return Err("space: not as crumple writes it".to_owned());
+        }
+        let text = record.specification.clone();
+        let specification = |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::encoding);
+        Self::with(record, nondeterministic, space, specification).map_err(|error| error.to_string())
+    }
+
+    fn resolve(
+        record: CampaignRecord,
+        nondeterministic: bool,
+        space: Space,
+        specification: impl FnOnce(&Scenario) -> Result<Specification, CampaignError>,
+    ) -> Result<Self, CampaignError> {
+        let space = space.with_noise_seed(record.seed);
+        let nominal = space.scenario(&space.nominal())?;
+        let specification = specification(&nominal)?;
+        let cube = UnitCube::of(&space).map_err(CampaignError::encoding)?;
+        let nominal_point = space.point(&space.nominal());
+        Ok(Self { record, nondeterministic, space, specification, cube, nominal, nominal_point })
+    }
+
+    /// The methods in the order in which they run.
+    pub(super) fn methods(&self) -> Vec<Method> {
+        methods(&self.record.method)
+    }
+
+    /// Distance from nominal: mean over the parameters.
+    pub(in crate::falsify) fn distance_from_nominal(&self, point: &[f64]) -> f64 {
+        self.cube.distance(point, &self.nominal_point) / self.cube.blocks().len() as f64
+    }
+}
+
+/// The most evaluations of a method.
+pub(super) const MAX_BUDGET: u64 = 1_000_000_000;

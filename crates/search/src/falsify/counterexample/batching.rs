@@ -1,0 +1,131 @@
+//! Many that ask one question at a time, answered together.
+//!
+//! Shrinking asks of one scenario after the other, and what it asks depends on the last answer. Runs are made far faster many at a
+//! time, most of all where a process or a callable decides; so all failures are shrunk at once, each on a thread that mostly waits.
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread;
+
+/// Most that ask at once.
+const MAX_BATCH_SIZE: usize = 64;
+
+/// What one of them says: which it is, and its question; none once it is done.
+type AskerMessage<Q> = (usize, Option<Q>);
+
+/// Asks one question at a time.
+struct Asker<Q, A> {
+    index: usize,
+    questions: Sender<AskerMessage<Q>>,
+    answers: Receiver<A>,
+}
+
+impl<Q, A> Asker<Q, A> {
+    /// None only where nobody answers any more.
+    fn ask(&self, question: Q) -> Option<A> {
+        self.questions.send((self.index, Some(question))).ok()?;
+        self.answers.recv().ok()
+    }
+}
+
+impl<Q, A> Drop for Asker<Q, A> {
+    /// However it ends, nobody waits for it.
+    fn drop(&mut self) {
+        let _ = self.questions.send((self.index, None));
+    }
+}
+
+/// What `work` makes of each member. Its questions are answered by `answer`, those of all members that still ask at once, in the order of the
+/// members; what they learn does not depend on who else asks as long as answers do not.
+///
+/// `work` is told None only where `answer` has fewer answers than questions.
+pub(super) fn run_batched<M: Sync, Q: Send, A: Send, R: Send>(
+    members: &[M],
+    work: impl Fn(&M, &mut dyn FnMut(Q) -> Option<A>) -> R + Sync,
+    answer: impl Fn(&[Q]) -> Vec<A>,
+) -> Vec<R> {
+    members.chunks(MOST_TOGETHER).flat_map(|members| together(members, &work, &answer)).collect()
+}
+
+fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
+    members: &[M],
+    work: &(impl Fn(&M, &mut dyn FnMut(Q) -> Option<A>) -> R + Sync),
+    answer: &impl Fn(&[Q]) -> Vec<A>,
+) -> Vec<R> {
+    thread::scope(|scope| {
+        let (questions, asked) = channel();
+        let (mut threads, mut desks) = (Vec::new(), Vec::new());
+        for (index, member) in members.iter().enumerate() {
+            let (desk, answers) = channel();
+            desks.push(Some(desk));
+            let asker = Asker { index, questions: questions.clone(), answers };
+            threads.push(scope.spawn(move || work(member, &mut |question| asker.ask(question))));
+        }
+        drop(questions);
+        serve(&asked, desks, answer);
+        let joined = threads.into_iter().map(|thread| thread.join());
+        joined.map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
+}
+
+/// Answers until nobody asks any more.
+fn serve<Q, A>(asked: &Receiver<AskerMessage<Q>>, mut desks: Vec<Option<Sender<A>>>, answer: &impl Fn(&[Q]) -> Vec<A>) {
+    let mut waiting: Vec<(usize, Q)> = Vec::new();
+    loop {
+        while waiting.len() < desks.iter().flatten().count() {
+            match asked.recv() {
+                Ok((index, Some(question))) if desks[index].is_some() => waiting.push((index, question)),
+                Ok((index, _)) => desks[index] = None,
+                Err(_) => return,
+            }
+        }
+        if waiting.is_empty() {
+            return;
+        }
+        waiting.sort_by_key(|(index, _)| *index);
+        let (who, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
+        let mut answers = answer(&questions).into_iter();
+        for index in who {
+            match (answers.next(), &desks[index]) {
+                // Who has gone meanwhile misses nothing.
+                (Some(answer), Some(desk)) => drop(desk.send(answer)),
+                _ => desks[index] = None,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+
+    /// Everybody learns what it would have learned alone, whoever ends when, and questions are answered together.
+    #[test]
+    fn what_is_learned_together_is_what_is_learned_alone() {
+        let members: Vec<u64> = (0..150).map(|i| i * i % 23).collect();
+        let asked = RefCell::new(Vec::new());
+        let learned = run_batched(
+            &members,
+            |&member, ask| (0..member).map(|step| ask(10 * member + step).unwrap()).sum::<u64>(),
+            |questions| {
+                asked.borrow_mut().push(questions.len());
+                questions.iter().map(|question| question * question).collect()
+            },
+        );
+        let alone = members.iter().map(|m| (0..*m).map(|step| (10 * m + step).pow(2)).sum::<u64>());
+        assert_eq!(learned, alone.collect::<Vec<_>>());
+        let asked = asked.into_inner();
+        assert_eq!(asked.iter().sum::<usize>() as u64, members.iter().sum::<u64>());
+        assert!(asked.len() <= 3 * 22 && asked[0] > 50, "{asked:?}");
+    }
+
+    #[test]
+    fn who_gets_no_answer_is_told_so_and_nobody_waits_for_it() {
+        let learned =
+            run_batched(&[1, 2, 3], |_, ask| ask(0).is_some() && ask(0).is_some(), |all| vec![(); all.len() - 1]);
+        assert_eq!(learned.len(), 3);
+        assert!(!learned[2]);
+        assert!(run_batched(&[0; 0], |_, _: &mut dyn FnMut(u8) -> Option<u8>| 1, |_| Vec::new()).is_empty());
+    }
+}

@@ -1,0 +1,88 @@
+//! How runs are judged: by a specification, alone or beside a partner.
+
+use super::failure_criterion::FailureCriterion;
+use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{
+    FailedController, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+};
+
+/// Everything that decides a verdict on a scenario.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Evaluator<'a> {
+    pub(super) specification: &'a Specification,
+    pub(super) controller: &'a NamedController,
+    pub(super) estimator: EstimatorKind,
+    pub(super) failure_criterion: Option<&'a FailureCriterion>,
+}
+
+impl Evaluator<'_> {
+    /// How a scenario is run with its step in so many parts, up to a contact.
+    pub(super) fn run_options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
+        options(self.controller, self.estimator, scenario, parts)
+    }
+
+    /// The verdict with the scenario's step in so many parts.
+    pub(super) fn evaluate(&self, scenario: &Scenario, parts: u32) -> Result<RunVerdict, SpecificationError> {
+        // One is asked for, and one comes back.
+        self.evaluate_all(&[(scenario, parts)]).pop().unwrap_or(Err(SpecificationError::NoTrace))
+    }
+
+    /// The same of many, which are run together.
+    pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
+        let own = self.driven_by(self.controller, asked);
+        let Some(contrast) = self.contrast else { return own };
+        let partners: Vec<Option<Scenario>> = asked.iter().map(|(scenario, _)| contrast.partner(scenario)).collect();
+        let there: Vec<(&Scenario, u32)> =
+            partners.iter().zip(asked).filter_map(|(partner, (_, parts))| Some((partner.as_ref()?, *parts))).collect();
+        let mut beside = self.driven_by(contrast.driver(self.controller), &there).into_iter();
+        let pairs = own.into_iter().zip(&partners);
+        pairs
+            .map(|(own, partner)| {
+                let beside = partner.as_ref().and_then(|_| beside.next()).transpose();
+                Ok(FailureCriterion::verdict(own?, beside?))
+            })
+            .collect()
+    }
+
+    /// Why the controller of the run that a scenario is set against gives no answer there; none if it gives one.
+    pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
+        let contrast = self.contrast?;
+        let partner = contrast.partner(scenario)?;
+        let options = options(contrast.driver(self.controller), self.estimator, &partner, 1);
+        let run = Run::new(&partner, options.with_after_contact(self.specification.after_contact())).ok()?;
+        simulate(&run, RecordingLevel::Summary).outcome.failed().map(FailedController::because)
+    }
+
+    fn evaluate_with(
+        &self,
+        controller: &NamedController,
+        asked: &[(&Scenario, u32)],
+    ) -> Vec<Result<RunVerdict, SpecificationError>> {
+        let prepared = asked.iter().map(|(scenario, parts)| {
+            let options = options(controller, self.estimator, scenario, *parts);
+            Run::new(scenario, options.with_after_contact(self.specification.after_contact()))
+        });
+        let (mut runs, mut refused) = (Vec::new(), Vec::new());
+        for (place, run) in prepared.enumerate() {
+            match run {
+                Ok(run) => runs.push(run),
+                Err(error) => refused.push((place, error)),
+            }
+        }
+        let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> =
+            simulate_batch(&runs, self.specification.keep(), |index, result| match runs.get(index) {
+                Some(run) => self.specification.judge(run, &result),
+                None => Err(SpecificationError::NoTrace),
+            });
+        // In ascending order, so that each place is there when its turn comes.
+        refused.into_iter().for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
+        verdicts
+    }
+}
+
+fn run_options(controller: &NamedController, estimator: EstimatorKind, scenario: &Scenario, parts: u32) -> RunOptions {
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+    if parts == 1 { options } else { options.with_dt_s(scenario.spec().step_s / f64::from(parts)) }
+}

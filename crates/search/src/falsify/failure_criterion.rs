@@ -1,0 +1,262 @@
+//! Failures that say more than that something failed: another controller passes the same scenario, or the same one passes a harder one.
+//!
+//! A run is judged beside a second one, its *partner*. What is looked for is a failure whose partner holds; its robustness is
+//! max(r, -r of the partner), that of "it holds, or the partner does not", and negative for such a failure alone. A partner whose controller
+//! gave no answer neither holds nor fails: such runs do not count, and how many there are is told.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crumple_world::measure::RunVerdict;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{NamedController, UnknownController};
+
+/// What a failure is set against.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub enum FailureCriterion {
+    /// Another controller, in the same scenario: what it fails as well does not count.
+    Differential(NamedController),
+    /// The same controller, in a scenario that should be no easier: what it fails there as well does not count.
+    Metamorphic(MetamorphicRelation),
+}
+
+/// What should make no scenario worse. A failure by it is a scenario that ends badly, and well with less of it.
+///
+/// That such relations hold between runs where nobody knows what is right for one of them is the idea of metamorphic testing (Chen,
+/// Cheung and Yiu 1998, HKUST-CS98-01).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
+pub enum MetamorphicRelation {
+    /// Everybody ahead of the first vehicle under test starts further away.
+    LargerGap {
+        /// By so much, in metres.
+        by_m: f64,
+    },
+    /// The road has more grip.
+    MoreFriction {
+        /// By so much of the coefficient.
+        by: f64,
+    },
+}
+
+/// A relation cannot be understood.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no relation: there are larger-gap=M, in metres above 0, and more-friction=F, above 0 and below 1")]
+pub struct UnknownRelation(String);
+
+const LARGER_GAP: &str = "larger-gap";
+const MORE_FRICTION: &str = "more-friction";
+
+impl MetamorphicRelation {
+    /// The partner of a scenario: the same with less of it; none if there can be none.
+    #[must_use]
+    pub(crate) fn partner(self, scenario: &Scenario) -> Option<Scenario> {
+        match self {
+            Self::LargerGap { by_m } => {
+                let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
+                let nearer = scenario.edited(|spec| {
+                    spec.vehicles.iter_mut().take(first).for_each(|ahead| ahead.position_m -= by_m);
+                });
+                (first > 0).then_some(nearer.ok()?)
+            }
+            Self::MoreFriction { by } => scenario.edited(|spec| spec.environment.friction -= by).ok(),
+        }
+    }
+
+    /// What the partner has, in words.
+    #[must_use]
+    pub(crate) fn describe_partner(self) -> String {
+        match self {
+            Self::LargerGap { by_m } => format!("with {by_m} m less of a gap ahead at the start"),
+            Self::MoreFriction { by } => format!("with a friction that is lower by {by}"),
+        }
+    }
+}
+
+impl fmt::Display for MetamorphicRelation {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::LargerGap { by_m } => write!(out, "{LARGER_GAP}={by_m}"),
+            Self::MoreFriction { by } => write!(out, "{MORE_FRICTION}={by}"),
+        }
+    }
+}
+
+impl FromStr for MetamorphicRelation {
+    type Err = UnknownRelation;
+
+    fn from_str(text: &str) -> Result<Self, UnknownRelation> {
+        let unknown = || UnknownRelation(text.to_owned());
+        let (name, number) = text.split_once('=').ok_or_else(unknown)?;
+        let number = number.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
+        match (name, number.ok_or_else(unknown)?) {
+            (LARGER_GAP, by_m) => Ok(Self::LargerGap { by_m }),
+            (MORE_FRICTION, by) if by < 1.0 => Ok(Self::MoreFriction { by }),
+            _ => Err(unknown()),
+        }
+    }
+}
+
+impl FailureCriterion {
+    /// The partner's scenario; none if there can be none.
+    pub(super) fn partner(&self, scenario: &Scenario) -> Option<Scenario> {
+        match self {
+            Self::Against(_) => Some(scenario.clone()),
+            Self::Metamorphic(relation) => relation.partner(scenario),
+        }
+    }
+
+    /// Who drives in it, where `own` is under test.
+    pub(super) fn partner_controller<'a>(&'a self, own: &'a NamedController) -> &'a NamedController {
+        match self {
+            Self::Against(other) => other,
+            Self::Metamorphic(_) => own,
+        }
+    }
+
+    /// Whether it sets a controller against itself in the same scenario.
+    pub(super) fn is_self_comparison(&self, own: &NamedController) -> bool {
+        let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
+        match self {
+            Self::Against(other) => {
+                let is_named_alike =
+                    other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
+                is_named_alike && digest(other) == digest(own)
+            }
+            Self::Metamorphic(_) => false,
+        }
+    }
+
+    /// What a file says of it.
+    pub(super) fn to_record(&self) -> FailureCriterionRecord {
+        match self {
+            Self::Against(other) => FailureCriterionRecord::Against {
+                controller: other.name.clone(),
+                policy_sha256: other.policy().map(|policy| policy.digest()),
+                controller_sha256: other.disambiguating_hash(),
+            },
+            Self::Metamorphic(relation) => FailureCriterionRecord::Metamorphic(*relation),
+        }
+    }
+
+    /// Beside the partner's verdict; none if it has no partner, so that nothing can be said. Nor can anything where the partner's controller
+    /// gave no answer: when is then in `failed`, beside a robustness that is not negative.
+    pub(super) fn combine_verdicts(own: RunVerdict, partner: Option<RunVerdict>) -> RunVerdict {
+        if let Some(failed) = partner.and_then(|partner| partner.failed) {
+            return RunVerdict { failed: Some(failed), ..RunVerdict::new(f64::INFINITY) };
+        }
+        let robustness = match partner.map(|partner| partner.robustness) {
+            None => f64::INFINITY,
+            Some(beside) if own.robustness.is_nan() || beside.is_nan() => f64::NAN,
+            Some(beside) => own.robustness.max(-beside),
+        };
+        RunVerdict { robustness, ..own }
+    }
+}
+
+/// A [`FailureCriterion`] in a file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
+pub enum FailureCriterionRecord {
+    /// [`FailureCriterion::Against`].
+    #[serde(rename = "against")]
+    Differential {
+        /// Name of the other controller, or its file.
+        controller: String,
+        /// Hash of its policy, if that is what it is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        policy_sha256: Option<String>,
+        /// Identity of a controller whose name does not say what it is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        controller_sha256: Option<String>,
+    },
+    /// [`FailureCriterion::Metamorphic`].
+    Metamorphic(MetamorphicRelation),
+}
+
+impl FailureCriterionRecord {
+    /// What it stands for; relative paths start at `folder`.
+    ///
+    /// # Errors
+    /// [`UnknownController`] if there is no such controller.
+    pub(super) fn resolve(&self, folder: &Path) -> Result<FailureCriterion, UnknownController> {
+        Ok(match self {
+            Self::Against { controller, .. } => FailureCriterion::Against(NamedController::find(controller, folder)?),
+            Self::Metamorphic(relation) => FailureCriterion::Metamorphic(*relation),
+        })
+    }
+
+    /// Which failures count, as the end of a sentence.
+    #[must_use]
+    pub(crate) fn describe(&self) -> String {
+        match self {
+            Self::Against { controller, .. } => format!("where `{controller}` holds"),
+            Self::Metamorphic(relation) => format!("that do not occur {}", relation.describe_partner()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::built_in;
+
+    #[test]
+    fn relations_survive_their_texts() {
+        for text in ["larger-gap=2", "larger-gap=0.25", "more-friction=0.1"] {
+            assert_eq!(text.parse::<MetamorphicRelation>().unwrap().to_string(), text);
+        }
+        for text in ["", "larger-gap", "larger-gap=", "larger-gap=-1", "larger-gap=nan", "more-friction=1", "less=1"] {
+            assert!(text.parse::<MetamorphicRelation>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn partners_differ_in_what_the_relation_says_alone() {
+        let scenario = built_in("paper-1").unwrap();
+        let nearer = MetamorphicRelation::LargerGap { by_m: 2.0 }.partner(&scenario).unwrap();
+        let positions = |scenario: &Scenario| scenario.vehicles().iter().map(|v| v.position_m).collect::<Vec<_>>();
+        let (own, partner) = (positions(&scenario), positions(&nearer));
+        assert_eq!(own[0] - 2.0, partner[0]);
+        assert_eq!(own[1..], partner[1..]);
+        let slippery = MetamorphicRelation::MoreFriction { by: 0.25 }.partner(&scenario).unwrap();
+        assert_eq!(slippery.spec().environment.friction, scenario.spec().environment.friction - 0.25);
+        // What would be no scenario is no partner.
+        assert!(MetamorphicRelation::LargerGap { by_m: 1e3 }.partner(&scenario).is_none());
+        assert!(MetamorphicRelation::MoreFriction { by: 0.999 }.partner(&scenario).is_none());
+    }
+
+    #[test]
+    fn a_failure_counts_where_the_partner_holds() {
+        let judged = |own: f64, partner: Option<f64>| {
+            FailureCriterion::verdict(RunVerdict::new(own), partner.map(RunVerdict::new)).robustness
+        };
+        assert_eq!(judged(-3.0, Some(1.0)), -1.0);
+        assert_eq!(judged(-0.5, Some(1.0)), -0.5);
+        assert_eq!(judged(-0.5, Some(f64::INFINITY)), -0.5);
+        assert_eq!(judged(2.0, Some(1.0)), 2.0);
+        assert_eq!(judged(-3.0, Some(-4.0)), 4.0);
+        // A gap of nothing holds, and hardly.
+        assert!(judged(-3.0, Some(0.0)) >= 0.0);
+        assert_eq!(judged(-3.0, None), f64::INFINITY);
+        assert_eq!(judged(f64::NEG_INFINITY, Some(1.0)), -1.0);
+        assert!(judged(f64::NAN, Some(1.0)).is_nan() && judged(-1.0, Some(f64::NAN)).is_nan());
+    }
+
+    #[test]
+    fn a_partner_without_an_answer_neither_holds_nor_fails() {
+        let silent = RunVerdict { failed: Some((1.5, 1)), ..RunVerdict::new(f64::NEG_INFINITY) };
+        for own in [RunVerdict::new(-3.0), RunVerdict::new(3.0), silent] {
+            let beside = FailureCriterion::verdict(own, Some(silent));
+            assert_eq!((beside.robustness, beside.failed), (f64::INFINITY, Some((1.5, 1))));
+        }
+        let own = FailureCriterion::verdict(silent, Some(RunVerdict::new(2.0)));
+        assert_eq!((own.robustness, own.failed), (-2.0, Some((1.5, 1))));
+    }
+}

@@ -1,0 +1,267 @@
+//! What of a scenario (or of a box of scenarios) the convex programs know.
+//!
+//! Everything is written for displacements from coasting: with d(t) = ∫∫a and w(t) = ∫a of an ego that starts at x₀ with
+//! v₀, its position is x₀ + v₀ t + d and its speed v₀ + w. Whatever does not depend on the ego's choice is then one number
+//! a row, the *slack*; over a box of scenarios the slack has an upper bound, which proofs use ([`BoundSide::Loose`]), and a
+//! lower bound, which escapes use ([`BoundSide::Tight`]).
+
+use crumple_verify::claim::MOST_EGOS;
+use crumple_verify::{Follower, Interval};
+
+use super::scenario_box::{Family, Ranges};
+use super::reason::Reason;
+use super::scripted_leader::{Leader, between};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
+
+/// Which bound of the slacks over the box.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BoundSide {
+    /// The upper one: what no scenario of the box exceeds.
+    Upper,
+    /// The lower one: what every scenario of the box has.
+    Lower,
+}
+
+impl BoundSide {
+    fn select(self, low: f64, high: f64) -> f64 {
+        match self {
+            Self::Loose => high,
+            Self::Tight => low,
+        }
+    }
+}
+
+/// A vehicle that chooses its acceleration.
+#[derive(Debug, Clone)]
+pub(super) struct EgoModel {
+    pub(super) position_m: Interval,
+    pub(super) speed_mps: Interval,
+    pub(super) length_m: f64,
+    /// On this road.
+    pub(super) max_brake_mps2: f64,
+    pub(super) max_accel_mps2: f64,
+    /// Steps at the start over which nothing it commands has an effect yet.
+    pub(super) dead_steps: usize,
+}
+
+/// A leader, one or more egos, perhaps a follower, and a time grid.
+#[derive(Debug, Clone)]
+pub(super) struct AvoidanceProblem {
+    pub(super) step_s: f64,
+    pub(super) steps: usize,
+    pub(super) leader: Leader,
+    pub(super) egos: Vec<Ego>,
+    /// The vehicle behind the egos, driven by the latched emergency brake, as a certificate describes it.
+    pub(super) follower: Option<Follower>,
+    /// Whether it stands for more than one scenario.
+    pub(super) is_box: bool,
+    /// The ranges of those scenarios, if it does.
+    pub(super) ranges: Option<Ranges>,
+    /// Why an escape that was found may be none; the replay decides where it can.
+    pub(super) escape_caveat: Option<Reason>,
+    /// Why a proof would not be about this scenario.
+    pub(super) proof_caveat: Option<Reason>,
+}
+
+impl AvoidanceProblem {
+    /// Reads a scenario, or a box of them.
+    ///
+    /// # Errors
+    /// The [`Reason`] why neither verdict can be reached.
+    pub(super) fn new(family: &Family) -> Result<Self, Reason> {
+        let [low, high] = family.ends();
+        let vehicles = low.vehicles();
+        let last_ego = last_ego(low)?;
+        if !family.is_point()
+            && let Some(vehicle) = vehicles.iter().position(|v| v.acceleration_noise_mps2 > 0.0)
+        {
+            return Err(Reason::Noise { vehicle });
+        }
+        let spans = |of: fn(&VehicleSpec) -> f64, index: usize| {
+            let of = |scenario: &Scenario| scenario.vehicles().get(index).map_or(0.0, of);
+            between(of(low), of(high))
+        };
+        let ego = |index: usize| {
+            let vehicle = &vehicles[index];
+            Ego {
+                position_m: spans(|v| v.position_m, index),
+                speed_mps: spans(|v| v.speed_mps, index),
+                length_m: vehicle.length_m(),
+                max_brake_mps2: low.usable_brake_mps2(index),
+                max_accel_mps2: vehicle.max_accel_mps2(),
+                dead_steps: delay_steps(low, vehicle),
+            }
+        };
+        let egos: Vec<Ego> = (1..=last_ego).map(ego).collect();
+        let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
+        let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
+        let mut escape_caveat =
+            under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
+        let mut proof_caveat =
+            under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| Reason::Noise { vehicle });
+        if last_ego > MOST_EGOS {
+            proof_caveat.get_or_insert(Reason::TooManyVehicles { egos: last_ego, most: MOST_EGOS });
+        }
+        let behind = last_ego + 1;
+        let mut follower = None;
+        if let Some(vehicle) = vehicles.get(behind) {
+            match &vehicle.driver {
+                Driver::Controller(ControllerSpec::Baseline(aeb)) if !has_lag(vehicle) => {
+                    if vehicle.acceleration_noise_mps2 > 0.0 {
+                        proof_caveat.get_or_insert(Reason::Noise { vehicle: behind });
+                    }
+                    follower = Some(Follower {
+                        position_m: spans(|v| v.position_m, behind),
+                        speed_mps: spans(|v| v.speed_mps, behind),
+                        brake_mps2: between(low.usable_brake_mps2(behind), high.usable_brake_mps2(behind)),
+                        ttc_s: aeb.ttc_s,
+                        reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
+                    });
+                }
+                // Whatever it does, a collision among the vehicles ahead of it is one.
+                driver => {
+                    escape_caveat.get_or_insert(Reason::Follower { vehicle: behind, driver: driver.name() });
+                }
+            }
+            if behind + 1 < vehicles.len() {
+                escape_caveat.get_or_insert(Reason::BehindFollower { vehicle: behind + 1 });
+            }
+        }
+        Ok(Self {
+            step_s: low.spec().step_s,
+            steps: low.steps(),
+            leader: Leader::new(low, high),
+            egos,
+            follower,
+            is_box: !family.is_point(),
+            ranges: family.ranges(),
+            escape_caveat,
+            proof_caveat,
+        })
+    }
+
+    /// The instant of a step, in seconds.
+    pub(super) fn time_s(&self, step: usize) -> f64 {
+        step as f64 * self.step_s
+    }
+
+    /// The number of ways the follower's brake can fire: at each step, or never.
+    pub(super) fn firing_count(&self) -> usize {
+        if self.follower.is_some() { self.steps + 1 } else { 1 }
+    }
+
+    /// The firing that stands for never.
+    pub(super) fn never_firing(&self) -> usize {
+        if self.follower.is_some() { self.steps } else { 0 }
+    }
+
+    /// The first step from which the leader stands for good, in every scenario of the box; the number of steps if it does not.
+    pub(super) fn leader_standstill_step(&self) -> usize {
+        self.leader.rests_from
+    }
+
+    /// The first step from which a follower whose brake fires at `firing` stands; the number of steps if it does not, 0
+    /// without a follower.
+    pub(super) fn follower_standstill_step(&self, firing: usize) -> usize {
+        self.follower.as_ref().map_or(0, |follower| {
+            let braking_s = follower.speed_mps.high() / follower.brake_mps2.low();
+            let rests = (firing + follower.reaction_steps as usize) as f64 + (braking_s / self.step_s).ceil();
+            if rests < self.steps as f64 { rests as usize } else { self.steps }
+        })
+    }
+
+    /// Bound on d of the first ego behind the leader: its slack to the leader's rear bumper, in metres.
+    pub(super) fn front_slack_m(&self, step: usize, side: BoundSide) -> f64 {
+        let (Some(ego), Some(rear)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
+        let t = self.time_s(step);
+        let coast = |x: f64, v: f64| x + v * t;
+        side.of(
+            rear.low() - coast(ego.position_m.high(), ego.speed_mps.high()),
+            rear.high() - coast(ego.position_m.low(), ego.speed_mps.low()),
+        )
+    }
+
+    /// Slack between ego `ahead` and the one behind it if both coast, in metres.
+    pub(super) fn pair_slack_m(&self, ahead: usize, step: usize, side: BoundSide) -> f64 {
+        let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else { return f64::NAN };
+        let t = self.time_s(step);
+        let gap = |f: (f64, f64), r: (f64, f64)| f.0 + f.1 * t - front.length_m - (r.0 + r.1 * t);
+        side.of(
+            gap((front.position_m.low(), front.speed_mps.low()), (rear.position_m.high(), rear.speed_mps.high())),
+            gap((front.position_m.high(), front.speed_mps.high()), (rear.position_m.low(), rear.speed_mps.low())),
+        )
+    }
+
+    /// Slack between the last ego, coasting, and a follower whose brake fires at `firing`, in metres.
+    pub(super) fn rear_slack_m(&self, firing: usize, step: usize, side: BoundSide) -> f64 {
+        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
+        let t = self.time_s(step);
+        let bumper = |x: f64, v: f64| x + v * t - ego.length_m;
+        side.of(
+            bumper(ego.position_m.low(), ego.speed_mps.low()) - self.follower_m(follower, firing, step, BoundSide::Loose),
+            bumper(ego.position_m.high(), ego.speed_mps.high()) - self.follower_m(follower, firing, step, BoundSide::Tight),
+        )
+    }
+
+    /// Front bumper of the follower at a step, in metres: coasting until `firing` and the reaction time, then braking to
+    /// standstill.
+    fn follower_front_m(&self, follower: &Follower, firing: usize, step: usize, side: BoundSide) -> f64 {
+        let brakes_from = (firing + follower.reaction_steps as usize).min(step);
+        let bound = |span: Interval| side.of(span.low(), span.high());
+        let (x, v) = (bound(follower.position_m), bound(follower.speed_mps));
+        // Who brakes least gets furthest.
+        let brake_mps2 = side.of(follower.brake_mps2.high(), follower.brake_mps2.low());
+        let coasting_s = self.time_s(brakes_from);
+        let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
+        x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
+    }
+
+    /// Bound on d + θ w of the last ego at step `firing` for the guard to have fired there.
+    pub(super) fn fired_slack_m(&self, firing: usize, side: BoundSide) -> f64 {
+        let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
+        let t = self.time_s(firing);
+        let theta = follower.ttc_s;
+        // - (gap - θ (closing speed)) with all vehicles coasting.
+        let of = |x: f64, v: f64, r: f64, vr: f64| -(x + v * t - ego.length_m - (r + vr * t) - theta * (vr - v));
+        side.of(
+            of(ego.position_m.high(), ego.speed_mps.high(), follower.position_m.low(), follower.speed_mps.low()),
+            of(ego.position_m.low(), ego.speed_mps.low(), follower.position_m.high(), follower.speed_mps.high()),
+        )
+    }
+
+    /// Bound on -w of an ego: its speed at the start, in m/s.
+    pub(super) fn speed_slack_mps(&self, ego: usize, side: BoundSide) -> f64 {
+        self.egos.get(ego).map_or(f64::NAN, |ego| side.of(ego.speed_mps.low(), ego.speed_mps.high()))
+    }
+
+    /// The smallest gap at the start, in metres: no escape has a larger smallest gap.
+    pub(super) fn initial_gap_m(&self, side: BoundSide) -> f64 {
+        let pairs = (0..self.egos.len().saturating_sub(1)).map(|ahead| self.pair_slack_m(ahead, 0, side));
+        let rear = self.follower.iter().map(|_| self.rear_slack_m(0, 0, side));
+        pairs.chain(rear).fold(self.front_slack_m(0, side), f64::min)
+    }
+}
+
+/// The last of the vehicles under test behind a scripted leader.
+fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
+    let vehicles = scenario.vehicles();
+    if !scenario.keeps_lanes() {
+        return Err(Reason::LaneChanges);
+    }
+    if !vehicles.first().is_some_and(|leader| matches!(leader.driver, Driver::Profile(_))) {
+        return Err(Reason::Leader);
+    }
+    let is_ego = |vehicle: &VehicleSpec| vehicle.driver == Driver::UnderTest;
+    let egos = vehicles.iter().skip(1).take_while(|vehicle| is_ego(vehicle)).count();
+    if egos == 0 || vehicles.iter().filter(|vehicle| is_ego(vehicle)).count() > egos {
+        return Err(Reason::NoEgo);
+    }
+    Ok(egos)
+}
+
+/// Reaction and actuator delay in whole steps, as the simulation counts them.
+pub(super) fn delay_steps(scenario: &Scenario, vehicle: &VehicleSpec) -> usize {
+    let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s;
+    ((delay_s / scenario.spec().step_s).round() as usize).min(scenario.steps())
+}

@@ -1,0 +1,172 @@
+//! An escape as a scenario, and what the ordinary simulation says about it.
+
+use super::firing_search::ModelEscape;
+use super::emergency_brake::EmergencyBrake;
+use super::avoidance_problem::Situation;
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario, VehicleSpec};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+
+/// Search that found an escape. The replay shows that it is one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FoundBy {
+    /// Convex programs, which model every driver behind.
+    Programs,
+    /// Simulations with every other driver in the loop, because the programs do not model all of them.
+    ClosedLoop {
+        /// Simulations made.
+        simulations: usize,
+    },
+}
+
+impl FoundBy {
+    /// Returns its name in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Programs => "programs",
+            Self::ClosedLoop { .. } => "closed-loop",
+        }
+    }
+
+    fn description(self) -> &'static str {
+        match self {
+            Self::Programs => "by convex programming",
+            Self::ClosedLoop { .. } => "by simulation with the other drivers in the loop",
+        }
+    }
+}
+
+/// An escape that was replayed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Escape {
+    /// The scenario with a script in place of every vehicle under test: a file that simulates without contact.
+    pub scenario: Scenario,
+    /// Smallest gap between any two vehicles at any instant, in metres, at a tenth of the scenario's step.
+    pub min_gap_m: f64,
+    /// How it was found.
+    pub found_by: FoundBy,
+    /// Emergency brakes behind the vehicles under test, in the replay at the scenario's step.
+    pub emergency_brake: EmergencyBrake,
+    /// Acceleration of each vehicle under test over each step, in m/s².
+    pub acceleration_mps2: Vec<Vec<f64>>,
+}
+
+impl Escape {
+    /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
+    pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &ModelEscape) -> Option<Self> {
+        Self::of(scenario, 1, each_step_mps2(situation, found), FoundBy::Programs)
+    }
+
+    /// Replays accelerations of the vehicles under test, the first of which is `first`, at the scenario's step and at a tenth of it;
+    /// none if vehicles touch in either.
+    pub(super) fn from_accelerations(
+        scenario: &Scenario,
+        first: usize,
+        acceleration_mps2: Vec<Vec<f64>>,
+        found_by: FoundBy,
+    ) -> Option<Self> {
+        let behind = first + acceleration_mps2.len();
+        let acceleration_mps2: Vec<Vec<f64>> = (first..)
+            .zip(acceleration_mps2)
+            .map(|(index, each)| {
+                let brake_mps2 = scenario.usable_brake_mps2(index);
+                let accel_mps2 = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.max_accel_mps2());
+                // Rounded up, full braking would be more than there is.
+                each.into_iter().map(|held| rounded(held).max(-brake_mps2).min(accel_mps2)).collect()
+            })
+            .collect();
+        let scripted = scripted(scenario, first, &acceleration_mps2, found_by).ok()?;
+        let run = Run::new(&scripted, by_script()).ok()?;
+        let coarse = simulate(&run, RecordingLevel::Trace);
+        let run = Run::new(&scripted, by_script().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
+        let fine = simulate(&run, RecordingLevel::Summary);
+        if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
+            return None;
+        }
+        let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
+        let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
+        let emergency_brake = EmergencyBrake::of(&scripted, behind, coarse.trace.as_ref()?);
+        Some(Self { scenario: scripted, min_gap_m, found_by, emergency_brake, acceleration_mps2 })
+    }
+
+    /// Returns when the first emergency brake behind fires, in seconds; none if none does.
+    #[must_use]
+    pub fn trigger_time_s(&self) -> Option<f64> {
+        match self.emergency_brake {
+            EmergencyBrake::Fires { time_s, .. } => Some(time_s),
+            EmergencyBrake::Silent | EmergencyBrake::Unknown => None,
+        }
+    }
+
+    /// Σ ∫ a² of the vehicles under test, in m²/s³: how rough the escape is.
+    #[must_use]
+    pub fn effort_m2ps3(&self) -> f64 {
+        let step_s = self.scenario.spec().step_s;
+        self.acceleration_mps2.iter().flatten().map(|a| a * a * step_s).sum()
+    }
+}
+
+/// To a millionth of a metre per second squared: of what a solver answers, the last digits differ from machine to machine, and files of
+/// escapes shall not. What is replayed, and so what counts, is what the file holds.
+fn round_acceleration(acceleration_mps2: f64) -> f64 {
+    const UNIT: f64 = 1e6;
+    (acceleration_mps2 * UNIT).round() / UNIT + 0.0
+}
+
+/// Runs of a scenario in which nobody is under test.
+pub(super) fn scripted_run_options() -> RunOptions {
+    RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth)
+}
+
+/// Returns the acceleration of each vehicle under test in each step, in m/s².
+pub(super) fn step_accelerations_mps2(situation: &Situation, found: &ModelEscape) -> Vec<Vec<f64>> {
+    found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect()
+}
+
+/// The acceleration of every step from that of every cell.
+fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
+    let mut each = Vec::with_capacity(steps);
+    for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
+        let length = pair.last().zip(pair.first()).map_or(0, |(to, from)| to - from);
+        each.extend(std::iter::repeat_n(held, length));
+    }
+    each
+}
+
+/// The scenario with a script in place of every vehicle under test.
+fn with_scripts(
+    scenario: &Scenario,
+    first: usize,
+    acceleration_mps2: &[Vec<f64>],
+    found_by: FoundBy,
+) -> Result<Scenario, InvalidField> {
+    let step_s = scenario.spec().step_s;
+    scenario.edited(|spec| {
+        spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
+        spec.about = format!("An escape from {}, found {}.", scenario.spec().name, found_by.in_words());
+        for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
+            follow(vehicle, pieces(each, step_s));
+        }
+    })
+}
+
+/// A script in place of who drives.
+pub(super) fn set_script(vehicle: &mut VehicleSpec, pieces: Pieces) {
+    vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces));
+    // A script has no delay; the profile already is what the vehicle does.
+    (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
+}
+
+/// A script that holds an acceleration in each step.
+pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> Pieces {
+    let (mut from_s, mut accel_mps2): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    for (step, &held) in each_mps2.iter().enumerate() {
+        if accel_mps2.last() != Some(&held) {
+            from_s.push(step as f64 * step_s);
+            accel_mps2.push(held);
+        }
+    }
+    Pieces { from_s, accel_mps2 }
+}

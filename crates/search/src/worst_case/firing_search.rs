@@ -1,0 +1,169 @@
+//! The search over the steps at which the follower's brake may fire.
+//!
+//! Every program that is solved leaves multipliers, and those bound the programs of all other firings as well (see
+//! [`super::multipliers`]) at a thousandth of the price. So the search is one of cuts: solve the firing whose bound is
+//! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
+//! left. If no escape is found, what is left of it is a proof.
+
+use super::multipliers::{Multipliers, Proof, ROUNDING_MARGIN};
+use super::program::{self, Answer, Grid, EscapeObjective, Wanted};
+use super::avoidance_problem::{Side, Situation};
+
+/// An escape of the model.
+#[derive(Debug, Clone)]
+pub(super) struct ModelEscape {
+    /// The step by which the follower's brake fires; the number of steps for never.
+    pub(super) firing: usize,
+    /// The smallest gap at the instants of the grid, in metres.
+    pub(super) gap_m: f64,
+    /// Acceleration of each ego in each cell, in m/s².
+    pub(super) acceleration_mps2: Vec<Vec<f64>>,
+    pub(super) grid: Grid,
+}
+
+/// The state of a search.
+pub(super) struct FiringSearch<'a> {
+    situation: &'a Situation,
+    pub(super) proofs: Vec<Proof>,
+    /// What no escape with that firing exceeds, in metres.
+    bounds_m: Vec<f64>,
+    solved: Vec<bool>,
+    pub(super) best: Option<ModelEscape>,
+    pub(super) programs: usize,
+    pub(super) solver_failure: Option<String>,
+}
+
+/// A larger smallest gap than the best one by less than this is not searched for, in metres.
+const MIN_GAP_GAIN_M: f64 = 2e-3;
+
+impl<'a> FiringSearch<'a> {
+    /// Nothing solved yet.
+    pub(super) fn new(situation: &'a Situation) -> Self {
+        let firings = situation.firings();
+        let mut search = Self {
+            situation,
+            proofs: Vec::new(),
+            bounds_m: vec![f64::INFINITY; firings],
+            solved: vec![false; firings],
+            best: None,
+            programs: 0,
+            trouble: None,
+        };
+        Multipliers::of_start(situation).for_each(|multipliers| search.cut(multipliers));
+        if situation.follower.is_some() {
+            // Where not even full braking makes the brake fire, there is nothing to solve.
+            search.cut(Multipliers::for_firing(situation));
+            search.cut_unreachable_firings();
+        }
+        search
+    }
+
+    /// What no escape exceeds, in metres, whenever the brake fires.
+    pub(super) fn bound_m(&self) -> f64 {
+        self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Solves programs on a grid until no firing promises more than what was found, `most` have been solved, or `open_ends` of
+    /// them have left their own firing open without an escape.
+    pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
+        self.solved.fill(false);
+        for _ in 0..most {
+            let Some(firing) = self.most_promising(self.floor_m()) else { return };
+            self.solved[firing] = true;
+            self.solve(grid, firing);
+            let escapes = self.best.as_ref().is_some_and(|best| best.gap_m > 0.0);
+            open_ends -= usize::from(!escapes && self.bounds_m[firing] >= 0.0);
+            if open_ends == 0 {
+                return;
+            }
+        }
+    }
+
+    /// What a bound must exceed for its firing to be worth a program.
+    fn min_useful_bound_m(&self) -> f64 {
+        let escape = self.best.as_ref().filter(|best| best.gap_m > 0.0);
+        escape.map_or(0.0, |best| {
+            // What the grid costs against continuous time is not worth more programs on the same grid.
+            let slack_m = (self.bounds_m[best.firing] - best.gap_m).max(0.0);
+            best.gap_m + slack_m + WORTH_M
+        })
+    }
+
+    /// The unsolved firing with the highest bound above `floor_m`; the middle one of the first that share it.
+    fn most_promising(&self, floor_m: f64) -> Option<usize> {
+        let open =
+            || self.bounds_m.iter().enumerate().filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
+        let highest_m = open().map(|(_, bound)| *bound).fold(f64::NEG_INFINITY, f64::max);
+        let first = open().find(|(_, bound)| **bound >= highest_m)?.0;
+        let alike = (first..self.bounds_m.len()).take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
+        Some(first + alike.count() / 2)
+    }
+
+    /// Solves one program and learns from it.
+    fn solve(&mut self, grid: &Grid, firing: usize) {
+        match self.answer(grid, firing, Side::Tight) {
+            Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
+                self.cut(multipliers);
+                if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
+                    self.best = Some(ModelEscape { firing, gap_m, acceleration_mps2, grid: grid.clone() });
+                }
+            }
+            Answer::Empty(multipliers) => self.cut(multipliers),
+            Answer::Trouble(status) => self.trouble = Some(status),
+        }
+        // That no profile is an escape from all of a box does not say that some member has none: that is another program.
+        if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
+            match self.answer(grid, firing, Side::Loose) {
+                Answer::Profile { multipliers, .. } | Answer::Empty(multipliers) => self.cut(multipliers),
+                Answer::Trouble(status) => self.trouble = Some(status),
+            }
+        }
+    }
+
+    fn solve_program(&mut self, grid: &Grid, firing: usize, side: Side) -> Answer {
+        self.programs += 1;
+        program::solve(self.situation, grid, firing, Wanted { objective: EscapeObjective::LargestGap, side })
+    }
+
+    /// An escape made smoother: for its firing, with half its smallest gap kept.
+    pub(super) fn smooth(&self, best: &ModelEscape, objective: impl Fn(f64) -> EscapeObjective) -> Option<ModelEscape> {
+        let wanted = Wanted { objective: objective(0.5 * best.gap_m), side: Side::Tight };
+        match program::solve(self.situation, &best.grid, best.firing, wanted) {
+            Answer::Profile { gap_m, acceleration_mps2, .. } => {
+                Some(ModelEscape { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
+            }
+            Answer::Empty(_) | Answer::Trouble(_) => None,
+        }
+    }
+
+    /// Drops the firings that not even a standing ego brings about: up to some step, since the follower only comes closer.
+    fn cut_unreachable_firings(&mut self) {
+        let stands_from = Multipliers::stands_from(self.situation);
+        let empty = |firing: usize| {
+            let proof = Proof::new(self.situation, Multipliers::for_standstill(self.situation, firing, 1));
+            proof.infimum(self.situation, firing, true) > ROUNDING_MARGIN
+        };
+        let (mut below, mut above) = (stands_from, self.situation.never());
+        while below < above {
+            let middle = usize::midpoint(below, above);
+            if empty(middle) { below = middle + 1 } else { above = middle }
+        }
+        for bound_m in self.bounds_m.iter_mut().take(below).skip(stands_from) {
+            *bound_m = f64::NEG_INFINITY;
+        }
+    }
+
+    /// Lowers every bound that multipliers lower.
+    fn cut(&mut self, multipliers: Multipliers) {
+        let proof = Proof::new(self.situation, multipliers);
+        let never = self.situation.never();
+        let floor_m = self.best.as_ref().map_or(0.0, |best| best.gap_m.max(0.0));
+        for (firing, bound_m) in self.bounds_m.iter_mut().enumerate() {
+            // What cannot win any more need not be bounded better.
+            if *bound_m >= floor_m {
+                *bound_m = bound_m.min(proof.gap_bound_m(self.situation, firing, firing < never));
+            }
+        }
+        self.proofs.push(proof);
+    }
+}

@@ -1,0 +1,104 @@
+//! The convex program of a braking leader.
+//!
+//! Variables are the peak and, for each cell, the change of speed w and the displacement d from coasting, as in
+//! [`super::program`]: -b H <= w⁺ - w <= 0, w >= -v₀, and accelerations of successive cells differ by at most the jerk
+//! times H. Everything asked of the leader at a step is a bound on d + θ w there.
+
+use super::attack::Aim;
+use super::profile_simulator::ProfileSimulator;
+use crumple_quadratic::{QuadraticProgram, Solved};
+
+/// The variable of the peak.
+const PEAK_VARIABLE: usize = 0;
+
+/// A bound on d + θ w of the leader at a step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LeaderConstraint {
+    pub(super) step: usize,
+    pub(super) theta_s: f64,
+    pub(super) bound_m: f64,
+    /// Whether it is an upper bound.
+    pub(super) is_upper_bound: bool,
+}
+
+/// The cheapest profile that does what is asked, one acceleration a cell, and its cost; none if there is none.
+pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: Aim, asked: &[LeaderConstraint]) -> Option<(f64, Vec<f64>)> {
+    bench.programs += 1;
+    let (all, cell_s, cell) = (bench.cells(), bench.cell_s(), bench.cell);
+    // After the last thing asked there is only easing off, within the jerk.
+    let last = asked.iter().map(|ask| ask.step.div_ceil(cell)).max()?;
+    let easing = bench.envelope.max_brake_mps2 / (bench.envelope.jerk_mps3 * cell_s);
+    let cells = all.min(last.max(1) + easing.ceil() as usize);
+    let step_s = bench.scenario.spec().step_s;
+    let speed_mps = bench.scenario.vehicles().first().map_or(0.0, |leader| leader.speed_mps);
+    let envelope = bench.envelope;
+    let mut cone = QuadraticProgram::new(1 + 2 * cells);
+    // The change of speed after cell j, counted from 1; its displacement is the next variable.
+    let w = |j: usize| 2 * j - 1;
+    let change = |j: usize| if j > 1 { vec![(w(j), 1.0), (w(j - 1), -1.0)] } else { vec![(w(j), 1.0)] };
+    let negative = |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
+    for j in 1..=cells {
+        let mut travel = vec![(w(j) + 1, 1.0), (w(j), -0.5 * cell_s)];
+        if j > 1 {
+            travel.extend([(w(j - 1) + 1, -1.0), (w(j - 1), -0.5 * cell_s)]);
+        }
+        cone.equal(&travel, 0.0);
+        cone.at_most(&change(j), 0.0);
+        let mut brake = negative(&change(j));
+        cone.at_most(&brake, envelope.max_brake_mps2 * cell_s);
+        cone.at_most(&[(w(j), -1.0)], speed_mps);
+        let mut jump = change(j);
+        if j > 1 {
+            jump.extend(negative(&change(j - 1)));
+        }
+        let most = envelope.jerk_mps3 * cell_s * cell_s;
+        cone.at_most(&jump, most);
+        cone.at_most(&negative(&jump), most);
+        if aim == Aim::LeastPeak {
+            brake.push((PEAK_VARIABLE, -cell_s));
+            cone.at_most(&brake, 0.0);
+            // Of all profiles with the least peak, a mild one.
+            cone.square(&change(j), 1e-3 / cell_s);
+        } else {
+            cone.square(&change(j), 1.0 / cell_s);
+        }
+    }
+    if aim == Aim::LeastPeak {
+        cone.cost(PEAK_VARIABLE, 1.0);
+    }
+    for ask in asked.iter().filter(|ask| ask.step > 0) {
+        let j = ask.step.div_ceil(cell);
+        let into_s = (ask.step - (j - 1) * cell) as f64 * step_s;
+        let share = into_s / cell_s;
+        let of_after = ask.theta_s * share + 0.5 * into_s * share;
+        let mut terms = vec![(w(j), of_after)];
+        if j > 1 {
+            terms.extend([(w(j - 1) + 1, 1.0), (w(j - 1), ask.theta_s + into_s - of_after)]);
+        }
+        if ask.at_most { cone.at_most(&terms, ask.bound_m) } else { cone.at_most(&negative(&terms), -ask.bound_m) }
+    }
+    if asked.iter().any(|ask| ask.step == 0 && if ask.at_most { ask.bound_m < 0.0 } else { ask.bound_m > 0.0 }) {
+        return None;
+    }
+    if cells < all {
+        let last = change(cells);
+        cone.at_most(&negative(&last), envelope.jerk_mps3 * cell_s * cell_s);
+    }
+    let Solved::Optimal { at, .. } = cone.solve() else { return None };
+    let mut before = 0.0;
+    let mut profile: Vec<f64> = (1..=cells)
+        .map(|j| {
+            let after = at.get(w(j)).copied().unwrap_or(before).max(-speed_mps);
+            let held = ((after - before) / cell_s).clamp(-envelope.max_brake_mps2, 0.0);
+            before += held * cell_s;
+            // What the solver leaves of a zero.
+            if held > -1e-6 { 0.0 } else { held }
+        })
+        .collect();
+    profile.resize(all, 0.0);
+    let cost = match aim {
+        Aim::LeastPeak => profile.iter().fold(0.0, |most: f64, a| most.max(-a)),
+        Aim::Mildest | Aim::Severest => profile.iter().map(|a| a * a * cell_s).sum(),
+    };
+    Some((cost, profile))
+}

@@ -1,0 +1,134 @@
+//! Simulation of a leader's braking profiles, with a count of what was spent.
+
+use super::attack::{Attack, AttackError, AttackMethod, Envelope};
+use super::escape::pieces;
+use crumple_core::observer::{Observer, Progress};
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+
+/// Where profiles are tried out.
+pub(super) struct ProfileSimulator<'a> {
+    pub(super) scenario: &'a Scenario,
+    pub(super) options: &'a RunOptions,
+    pub(super) envelope: Envelope,
+    /// Steps in a cell over which the leader's acceleration is held.
+    pub(super) cell: usize,
+    pub(super) evaluations: usize,
+    pub(super) programs: usize,
+    budget: usize,
+    observer: &'a dyn Observer<Progress>,
+}
+
+/// Outcome of a brake profile.
+#[derive(Debug, Clone)]
+pub(super) struct ProfileOutcome {
+    pub(super) outcome: Outcome,
+    pub(super) margin_m: f64,
+}
+
+/// No impact is faster, in m/s: the speed that scenarios may have at most.
+const MAX_IMPACT_SPEED_MPS: f64 = 100.0;
+/// Deceleration by which the speed of an impact becomes a depth, in m/s²: v² / 2 of it.
+const IMPACT_DECELERATION_MPS2: f64 = 5.0;
+
+impl<'a> ProfileSimulator<'a> {
+    pub(super) fn new(
+        scenario: &'a Scenario,
+        options: &'a RunOptions,
+        envelope: Envelope,
+        budget: usize,
+        observer: &'a dyn Observer<Progress>,
+    ) -> Self {
+        let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
+        Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, budget, observer }
+    }
+
+    /// The number of cells.
+    pub(super) fn cell_count(&self) -> usize {
+        self.scenario.steps().div_ceil(self.cell)
+    }
+
+    /// The length of a cell in seconds.
+    pub(super) fn cell_s(&self) -> f64 {
+        self.cell as f64 * self.scenario.spec().step_s
+    }
+
+    /// The scenario with a profile, one acceleration a cell, as the leader's script.
+    pub(super) fn with_leader_script(&self, cells_mps2: &[f64]) -> Result<Scenario, InvalidField> {
+        let profile = LeadProfile::Pieces(pieces(cells_mps2, self.cell_s()));
+        self.scenario.edited(|spec| {
+            if let Some(leader) = spec.vehicles.first_mut() {
+                leader.driver = Driver::Profile(profile);
+            }
+        })
+    }
+
+    /// Simulates many profiles.
+    pub(super) fn simulate(&mut self, profiles: &[Vec<f64>]) -> Result<Vec<ProfileOutcome>, AttackError> {
+        let scripted = profiles.iter().map(|cells| self.scripted(cells)).collect::<Result<Vec<_>, _>>()?;
+        let runs = scripted
+            .iter()
+            .map(|scenario| Run::new(scenario, self.options.clone()))
+            .collect::<Result<Vec<_>, RunError>>()?;
+        self.evaluations += profiles.len();
+        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::of(&simulated));
+        self.observer.notify(&Progress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
+        Ok(trials)
+    }
+
+    /// Simulates one profile and reports it.
+    pub(super) fn report(
+        &mut self,
+        cells_mps2: &[f64],
+        predicted_margin_m: f64,
+        method: AttackMethod,
+    ) -> Result<Attack, AttackError> {
+        let scenario = self.scripted(cells_mps2)?.edited(|spec| {
+            spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
+            spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);
+        })?;
+        let run = Run::new(&scenario, self.options.clone())?;
+        self.evaluations += 1;
+        let trial = ProfileOutcome::of(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
+        Ok(Attack {
+            outcome: trial.outcome.clone(),
+            effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
+            peak_brake_mps2: cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            predicted_margin_m,
+            margin_m: trial.margin_m,
+            evaluations: self.evaluations,
+            programs: self.programs,
+            method,
+            scenario,
+        })
+    }
+}
+
+impl ProfileOutcome {
+    /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact;
+    /// where a controller fails, that of an impact faster than there are any.
+    pub(super) fn from_simulated(simulated: &Simulated) -> Self {
+        let depth_m = |impact_mps: f64| impact_mps.powi(2) / (2.0 * IMPACT_DECELERATION_MPS2);
+        let margin_m = match &simulated.outcome {
+            Outcome::ControllerFailed(_) => -depth_m(MAX_IMPACT_SPEED_MPS),
+            Outcome::Collision(contact) => -depth_m(contact.impact_speed_mps),
+            Outcome::NoCollision => {
+                simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
+            }
+        };
+        Self { outcome: simulated.outcome.clone(), margin_m }
+    }
+
+    pub(super) fn collides(&self) -> bool {
+        !self.outcome.is_safe()
+    }
+
+    /// When a contact or a controller's failure ends the run, in seconds.
+    pub(super) fn end_time_s(&self) -> Option<f64> {
+        match &self.outcome {
+            Outcome::NoCollision => None,
+            Outcome::Collision(contact) => Some(contact.time_s),
+            Outcome::ControllerFailed(failed) => Some(failed.time_s),
+        }
+    }
+}

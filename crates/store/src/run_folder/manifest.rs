@@ -1,0 +1,347 @@
+//! What a folder of work holds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::lock::LOCK_FILE;
+use super::pending::{self, PendingChange, is_inside_folder};
+use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, regular_file_len, read_regular_file};
+use super::{MANIFEST_FILE, PREVIOUS_FOLDER, UNLISTED_FILE_MESSAGE, RunFolderError};
+use crate::disk::{self, DiskError};
+use crumple_core::digest::{Sha256, sha256};
+
+/// The version of the file.
+const VERSION: u32 = 1;
+
+/// The longest manifest that is read: that of ten thousand files is not a tenth of it.
+pub(super) const MAX_BYTES: u64 = 64 << 20;
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Manifest {
+    version: u32,
+    /// What kind of work it is, as a noun for readers.
+    pub(super) kind: String,
+    /// [`crate::program::identity`] of the program at work; none once the work is complete, so that results are the same
+    /// bytes whatever build made them.
+    pub(super) program: Option<String>,
+    /// SHA-256 of everything that decides the results.
+    pub(super) configuration_sha256: String,
+    /// What it is to write, apart from its other files: nothing else may be in these places. Folders end in a slash.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    outputs: Vec<String>,
+    /// Whether others may put files into its folders, beside its own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    shares_folders: bool,
+    /// Each file as it is, once what is pending is made.
+    files: BTreeMap<String, FileState>,
+    /// Changes that were announced and may not yet be made. All that they need is on the disk.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pending: Vec<PendingChange>,
+    /// SHA-256 of this file with an empty string here.
+    sha256: String,
+}
+
+impl Manifest {
+    pub(super) fn new(kind: &str, program: &str, configuration_sha256: &str, outputs: &[&str]) -> Self {
+        Self {
+            version: VERSION,
+            kind: kind.to_owned(),
+            program: Some(program.to_owned()),
+            configuration_sha256: configuration_sha256.to_owned(),
+            outputs: outputs.iter().map(|name| (*name).to_owned()).collect(),
+            shares_folders: false,
+            files: BTreeMap::new(),
+            pending: Vec::new(),
+            sha256: String::new(),
+        }
+    }
+
+    /// Of work that is complete: these are its files, and others may lie in their folders.
+    pub(super) fn from_files<'a>(
+        kind: &str,
+        configuration_sha256: &str,
+        files: impl Iterator<Item = (&'a str, &'a [u8])>,
+    ) -> Self {
+        let files = files.map(|(name, contents)| (name.to_owned(), FileState::from_contents(contents))).collect();
+        Self { program: None, shares_folders: true, files, ..Self::new(kind, "", configuration_sha256, &[]) }
+    }
+
+    /// What tells the work from all other, as it is done by a program.
+    pub(super) fn identity(&self, program: &str) -> String {
+        Sha256::default().with(&self.kind).with(&self.configuration_sha256).with(program).hexadecimal()
+    }
+
+    /// The manifest in a file; none if there is no such file.
+    pub(super) fn read(path: &Path) -> Result<Option<Self>, RunFolderError> {
+        let Some(bytes) = read_regular_file(path, MAX_BYTES)? else { return Ok(None) };
+        let damaged = |problem: String| RunFolderError::damaged(path, problem);
+        let found: Self = serde_json::from_slice(&bytes).map_err(|error| {
+            damaged(format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
+        })?;
+        if found.version != VERSION {
+            return Err(damaged(format!("version: {}, and this release reads {VERSION}", found.version)));
+        }
+        match found.to_json() {
+            Ok(text) if text.as_bytes() == bytes && found.is_inside_folder() => Ok(Some(found)),
+            _ => Err(damaged("sha256: not as it was written".to_owned())),
+        }
+    }
+
+    /// Whether all that it names lies in its folder.
+    fn is_inside_folder(&self) -> bool {
+        self.files.keys().chain(&self.outputs).all(|name| is_inside_folder(name))
+            && self.pending.iter().all(PendingChange::is_inside_folder)
+    }
+
+    /// Writes it, whole or not at all.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), DiskError> {
+        let path = folder.join(MANIFEST_FILE);
+        let text = self.to_json().map_err(|error| DiskError::at(&path)(error.into()))?;
+        disk::write(&path, text)
+    }
+
+    /// The file, with its digest in it.
+    pub(super) fn to_json(&self) -> Result<String, serde_json::Error> {
+        let with = |sha256| serde_json::to_string_pretty(&Self { sha256, ..self.clone() }).map(|text| text + "\n");
+        with(sha256(with(String::new())?))
+    }
+
+    /// The bytes of a file, unless it cannot be what was written; none if there is no such file. What is to be in its place counts as
+    /// being there.
+    pub(super) fn read_contents(&self, folder: &Path, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
+        let path = folder.join(name);
+        let Some(state) = self.files.get(name) else {
+            let is_stranger = !self.has_entry(name) && path.symlink_metadata().is_ok();
+            return if is_stranger { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
+        };
+        let found = read_regular_file(&path, state.max_bytes());
+        match self.unfinished_for(name) {
+            Some(unfinished) if !matches!(&found, Ok(Some(bytes)) if state.matches_contents(bytes)) => {
+                match read_regular_file(&folder.join(unfinished), state.max_bytes()) {
+                    Ok(Some(bytes)) if state.matches_contents(&bytes) => Ok(Some(bytes)),
+                    _ => found,
+                }
+            }
+            _ => found,
+        }
+    }
+
+    /// What is to be in the place of a file.
+    fn unfinished_for(&self, of: &str) -> Option<&str> {
+        self.pending.iter().find_map(|pending| match pending {
+            PendingChange::Move { unfinished, name } if name == of => Some(unfinished.as_str()),
+            _ => None,
+        })
+    }
+
+    /// Returns the name and SHA-256 of every file that is there as a whole, and of the manifest.
+    pub(super) fn digests(&self) -> Vec<(String, String)> {
+        let own = self.to_json().map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
+        let files = self.files.iter().filter_map(|(name, state)| match state {
+            FileState::Whole { sha256, .. } => Some((name.clone(), sha256.clone())),
+            FileState::AppendOnly(_) => None,
+        });
+        files.chain(own).collect()
+    }
+
+    pub(super) fn file_names(&self) -> Vec<String> {
+        self.files.keys().cloned().collect()
+    }
+
+    /// Whether a file is there, or still to go.
+    pub(super) fn has_entry(&self, name: &str) -> bool {
+        self.files.contains_key(name) || self.pending.iter().any(|pending| pending.name() == name)
+    }
+
+    /// Files in the folders of the work of which it knows nothing, and folders that are none of its own, or links; and whatever is in
+    /// the place of something that is still to be written. In the first folder anything else may lie beside the work.
+    pub(super) fn unlisted_files(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
+        if self.shares_folders {
+            return Ok(Vec::new());
+        }
+        let (folders, files): (Vec<&str>, Vec<&str>) =
+            self.outputs.iter().map(String::as_str).partition(|name| name.ends_with('/'));
+        let is_stranger = |name: &&str| !self.has_entry(name) && root.join(name).symlink_metadata().is_ok();
+        let mut strangers: Vec<PathBuf> = files.into_iter().filter(is_stranger).map(|name| root.join(name)).collect();
+        let folders = folders.into_iter().map(|name| name.trim_end_matches('/'));
+        for folder in self.folders().into_iter().chain(folders).collect::<BTreeSet<_>>() {
+            let place = root.join(folder);
+            if place.is_symlink() {
+                strangers.push(place);
+            } else if !self.includes_folder(folder) {
+                strangers.extend(sorted_entries(&place)?.into_iter().filter(|path| !self.is_expected(root, path)));
+            }
+        }
+        Ok(strangers)
+    }
+
+    /// Whether something in a folder of the work is the work's own. What is under way in a folder of its own is known once it is done.
+    fn is_expected(&self, root: &Path, path: &Path) -> bool {
+        let Ok(name) = path.strip_prefix(root).map(|name| name.to_string_lossy().into_owned()) else { return false };
+        if path.is_dir() && !path.is_symlink() {
+            let is_below = |known: &str| known.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with('/'));
+            return self.program.is_some() || self.files.keys().any(|known| is_below(known));
+        }
+        self.has_entry(&name) || path == root.join(PREVIOUS_FOLDER).join(MANIFEST_FILE) || disk::is_unfinished(path)
+    }
+
+    /// What lies in the first folder and is none of the work's.
+    pub(super) fn unrelated_files(&self, root: &Path) -> Result<Vec<String>, DiskError> {
+        let known = self.folders();
+        let outputs = self.outputs.iter().map(String::as_str);
+        let tops: BTreeSet<&str> = known.into_iter().chain(outputs).filter_map(|name| name.split('/').next()).collect();
+        let own = [MANIFEST_FILE, LOCK_FILE, PREVIOUS_FOLDER];
+        let is_own = |name: &str| self.has_entry(name) || tops.contains(name) || own.contains(&name);
+        let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let mut beside: Vec<String> =
+            names.filter(|name| !is_own(name) && !disk::is_unfinished(Path::new(name))).collect();
+        beside.sort_unstable();
+        Ok(beside)
+    }
+
+    /// What a file is, if it is there as a whole.
+    pub(super) fn whole_file_state(&self, name: &str) -> Option<&FileState> {
+        self.files.get(name).filter(|state| matches!(state, FileState::Whole { .. }))
+    }
+
+    /// Takes a file to be as it is.
+    pub(super) fn set_state(&mut self, name: &str, state: FileState) {
+        self.files.insert(name.to_owned(), state);
+    }
+
+    /// The folders in which there is work of its own.
+    pub(super) fn included_folders(&self) -> Vec<String> {
+        let folder = |name: &String| Some(name.strip_suffix(MANIFEST_FILE)?.strip_suffix('/')?.to_owned());
+        self.files.keys().filter_map(folder).collect()
+    }
+
+    pub(super) fn includes_folder(&self, folder: &str) -> bool {
+        self.has_entry(&format!("{folder}/{MANIFEST_FILE}"))
+    }
+
+    /// How a file begins that grows.
+    fn prefix(&self, name: &str) -> Option<&Prefix> {
+        match self.files.get(name)? {
+            FileState::AppendOnly(prefix) => Some(prefix),
+            FileState::Whole { .. } => None,
+        }
+    }
+
+    /// Whether more may follow what is known of a file.
+    pub(super) fn is_append_only(&self, name: &str) -> bool {
+        self.prefix(name).is_some()
+    }
+
+    /// The folders that files are in, beside that of the manifest itself.
+    pub(super) fn folders(&self) -> BTreeSet<&str> {
+        self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
+    }
+
+    /// Says that the file `unfinished` will be in the place of another, and what that is then.
+    pub(super) fn add_pending_move(&mut self, name: &str, unfinished: String, state: FileState) {
+        self.pending.retain(|pending| pending.name() != name);
+        self.pending.push(PendingChange::Move { unfinished, name: name.to_owned() });
+        self.set_state(name, state);
+    }
+
+    /// Says that a file will go, if it is there.
+    pub(super) fn add_pending_removal(&mut self, name: &str) {
+        let was = self.files.remove(name);
+        self.pending.extend(was.map(|was| PendingChange::Remove { name: name.to_owned(), old_state: was }));
+    }
+
+    /// Makes what is pending, which nobody has touched since it was announced.
+    pub(super) fn apply_pending(&mut self, folder: &Path) -> Result<(), DiskError> {
+        pending::apply(folder, &self.pending.iter().collect::<Vec<_>>())?;
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// Makes what is still pending of what another process announced, once it has found all that it needs to be as it was written.
+    pub(super) fn recover_pending(&mut self, folder: &Path) -> Result<(), RunFolderError> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let mut open = Vec::new();
+        for pending in &self.pending {
+            if self.is_unapplied(folder, pending)? {
+                open.push(pending);
+            } else if let Some(parent) = folder.join(pending.name()).parent().filter(|parent| parent.is_dir()) {
+                // It was made, and may not have reached the disk.
+                disk::sync_folder(parent)?;
+            }
+        }
+        pending::apply(folder, &open)?;
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// Whether a change is still to be made.
+    fn is_unapplied(&self, folder: &Path, pending: &PendingChange) -> Result<bool, RunFolderError> {
+        let path = folder.join(pending.name());
+        match pending {
+            PendingChange::Move { unfinished, name } => match self.files.get(name) {
+                Some(state) if !state.matches_file(&path) && state.matches_file(&folder.join(unfinished)) => Ok(true),
+                _ => self.check_file(folder, name).map(|()| false),
+            },
+            PendingChange::Remove { old_state: was, .. } => match path.symlink_metadata() {
+                Err(_) => Ok(false),
+                Ok(_) if matches!(was, FileState::AppendOnly(_)) || was.matches_file(&path) => Ok(true),
+                Ok(_) => Err(RunFolderError::damaged(&path, "not as it was written")),
+            },
+        }
+    }
+
+    /// Names for files that are to be in the places of others, none of which is in use.
+    pub(super) fn unfinished_names(&self) -> impl Iterator<Item = String> + use<> {
+        let used = self.pending.iter().filter_map(|pending| match pending {
+            PendingChange::Move { unfinished, .. } => disk::parse_number(unfinished),
+            PendingChange::Remove { .. } => None,
+        });
+        let first = used.max().map_or(0, |last| last.saturating_add(1));
+        (first..).map(disk::numbered_name)
+    }
+
+    /// Whether a file is as it is said to be.
+    pub(super) fn check(&self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
+        match (self.files.get(name), found) {
+            (None, None) | (Some(FileState::AppendOnly(_)), _) => Ok(()),
+            (Some(state), Some(found)) if state.matches_contents(found) => Ok(()),
+            (Some(_), Some(_)) => Err("not as it was written".to_owned()),
+            (Some(_), None) => Err(MISSING_FILE_MESSAGE.to_owned()),
+            (None, Some(_)) => Err(UNLISTED_FILE_MESSAGE.to_owned()),
+        }
+    }
+
+    /// Whether a file in the folder is as it was written.
+    pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<(), RunFolderError> {
+        let path = folder.join(name);
+        let damaged = |problem| RunFolderError::damaged(&path, problem);
+        match self.prefix(name) {
+            Some(prefix) => {
+                regular_file_len(&path)?;
+                prefix.check_file(&path)?.map_err(damaged)
+            }
+            None => self.check(name, self.read_contents(folder, name)?.as_deref()).map_err(damaged),
+        }
+    }
+}
+
+/// What is in a folder, in order; nothing if there is no such folder.
+pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(DiskError::at(folder)(source)),
+    };
+    let mut found =
+        entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>().map_err(DiskError::at(folder))?;
+    found.sort_unstable();
+    Ok(found)
+}

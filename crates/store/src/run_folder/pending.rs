@@ -1,0 +1,74 @@
+//! Changes on their way.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Component, Path};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::state::FileState;
+use crate::disk::{self, DiskError};
+
+/// A change that was announced.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum PendingChange {
+    /// The file `unfinished`, beside the manifest, is to be in the place of `name`.
+    #[serde(rename = "place")]
+    Move { unfinished: String, name: String },
+    /// It is to go, and was this before.
+    #[serde(rename = "was")]
+    Remove { name: String, old_state: FileState },
+}
+
+impl PendingChange {
+    pub(super) fn name(&self) -> &str {
+        match self {
+            Self::Move { name, .. } | Self::Remove { name, .. } => name,
+        }
+    }
+
+    /// Whether all that it names lies in its folder.
+    pub(super) fn is_inside_folder(&self) -> bool {
+        match self {
+            Self::Move { unfinished, name } => {
+                is_inside_folder(name) && !unfinished.contains('/') && disk::is_unfinished(Path::new(unfinished))
+            }
+            Self::Remove { name, .. } => is_inside_folder(name),
+        }
+    }
+}
+
+/// Makes changes, without looking at what they find, and brings them to the disk.
+pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), DiskError> {
+    let (mut parents, mut gone) = (BTreeSet::new(), Vec::new());
+    for change in changes {
+        let path = folder.join(change.name());
+        match change {
+            PendingChange::Move { unfinished, .. } => {
+                parents.extend(path.parent().map(Path::to_owned));
+                // Where both are names of one file, neither is moved.
+                gone.push(folder.join(unfinished));
+            }
+            PendingChange::Remove { .. } => gone.push(path),
+        }
+    }
+    // Nothing that is moved may be gone from where it was before it is where it goes: each folder reaches the disk by itself.
+    parents.iter().try_for_each(|parent| disk::make_folder(parent))?;
+    for change in changes {
+        if let PendingChange::Move { unfinished, name } = change {
+            let path = folder.join(name);
+            fs::rename(folder.join(unfinished), &path).map_err(DiskError::at(&path))?;
+        }
+    }
+    parents.remove(folder);
+    parents.par_iter().try_for_each(|parent| disk::sync_folder(parent))?;
+    disk::remove(&gone)?;
+    disk::sync_folder(folder)
+}
+
+/// Whether a name is that of a file in the folder, or in one of its own.
+pub(super) fn is_inside_folder(name: &str) -> bool {
+    Path::new(name).components().all(|part| matches!(part, Component::Normal(_)))
+}

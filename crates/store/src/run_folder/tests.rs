@@ -1,0 +1,373 @@
+use std::fs;
+
+use super::*;
+
+const OPTIONS: Asked<'_> =
+    Asked { kind: "count", configuration: "runs = 3", configuration_file: "count.toml", resume: true, outputs: &[] };
+
+/// A folder with three files, one of which was changed and one removed.
+fn finished_folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    work.changes().write("a.json", "first").write("deep/b.json", "b").write("c.json", "c").commit().unwrap();
+    work.write("a.json", "second").unwrap();
+    work.changes().remove("c.json").commit().unwrap();
+    work.finish().unwrap();
+    folder
+}
+
+#[test]
+fn what_was_written_is_read_and_nothing_else_is() {
+    let folder = worked();
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    assert_eq!(work.read("a.json").unwrap().unwrap(), b"second");
+    assert_eq!((work.read("c.json").unwrap(), work.is_complete()), (None, true));
+    assert_eq!(work.locked().names(), ["a.json", "deep/b.json"]);
+    fs::write(work.path("c.json"), "left over").unwrap();
+    let said = work.read("c.json").unwrap_err().to_string();
+    assert!(said.contains("c.json: work.json knows no such file"), "{said}");
+    assert!(matches!(Work::open(folder.path(), OPTIONS), Err(WorkError::InUse { .. })));
+}
+
+#[test]
+fn another_folders_work_is_refused() {
+    let folder = worked();
+    let open = |asked| Work::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
+    assert!(open(Asked { resume: false, ..OPTIONS }).contains("holds a count already"));
+    assert!(open(Asked { kind: "training", ..OPTIONS }).contains("the work there is a count, and no training"));
+    assert!(open(Asked { configuration: "runs = 4", ..OPTIONS }).contains("configured otherwise"));
+}
+
+/// A bit of every byte of every file, every length of it, its absence, and the place of each file with that of another: never believed.
+#[test]
+fn any_damage_names_its_file() {
+    let folder = worked();
+    let names = [MANIFEST, "a.json", "deep/b.json"];
+    let whole = names.map(|name| fs::read(folder.path().join(name)).unwrap());
+    let refused = |name: &str| {
+        let error = Work::open(folder.path(), OPTIONS).err().map(|error| error.to_string());
+        let seen = examine(folder.path());
+        let is_seen = seen.is_err()
+            || seen.is_ok_and(|seen| seen.files.iter().any(|(file, found)| file == name && found.is_err()));
+        assert!(is_seen, "{name} is damaged, and no examination says so");
+        error.unwrap_or_else(|| panic!("{name} is damaged, and believed"))
+    };
+    for (name, bytes) in names.iter().zip(&whole) {
+        let path = folder.path().join(name);
+        let says = |said: String| assert!(said.contains(name), "{name}: {said}");
+        for place in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[place] ^= 1 << (place % 8);
+            fs::write(&path, damaged).unwrap();
+            says(refused(name));
+        }
+        for length in 0..bytes.len() {
+            fs::write(&path, &bytes[..length]).unwrap();
+            says(refused(name));
+        }
+        for other in whole.iter().filter(|other| *other != bytes) {
+            fs::write(&path, other).unwrap();
+            says(refused(name));
+        }
+        fs::remove_file(&path).unwrap();
+        if *name != MANIFEST {
+            says(refused(name));
+        }
+        fs::write(&path, bytes).unwrap();
+    }
+    Work::open(folder.path(), OPTIONS).unwrap();
+}
+
+/// Wherever the process ends once a change was announced, whoever comes next makes what is left of it; and of what belongs to
+/// different moments nothing is taken for a whole.
+#[test]
+fn what_was_announced_is_made_by_who_comes_next_and_no_mixture_is_believed() {
+    let announced = || {
+        let folder = worked();
+        let before = ["a.json", "deep/b.json"].map(|name| fs::read(folder.path().join(name)).unwrap());
+        {
+            let work = Work::open(folder.path(), OPTIONS).unwrap();
+            let mut manifest = work.locked();
+            for ((name, contents), unfinished) in
+                [("a.json", "third"), ("new/c.json", "third")].into_iter().zip(manifest.unfinished_names())
+            {
+                fs::write(folder.path().join(&unfinished), contents).unwrap();
+                manifest.place(name, unfinished, FileState::of(contents.as_bytes()));
+            }
+            manifest.remove("deep/b.json");
+            manifest.program = Some(work.program.to_owned());
+            manifest.write(folder.path()).unwrap();
+        }
+        (folder, before)
+    };
+    let is_new = |folder: &Path| {
+        let work = Work::open(folder, OPTIONS).unwrap();
+        assert!(!work.is_complete());
+        let read = |name| String::from_utf8(work.read_required(name).unwrap()).unwrap();
+        assert_eq!((read("a.json"), read("new/c.json")), ("third".to_owned(), "third".to_owned()));
+        assert_eq!(work.read("deep/b.json").unwrap(), None);
+        work.write("a.json", "fourth").unwrap();
+        drop(work);
+        assert_eq!(Work::open(folder, OPTIONS).unwrap().read_required("a.json").unwrap(), b"fourth");
+    };
+    for made in 0..=3 {
+        let (folder, _) = announced();
+        let path = |name: &str| folder.path().join(name);
+        if made > 0 {
+            fs::rename(path(".crumple-unfinished-0"), path("a.json")).unwrap();
+        }
+        if made > 1 {
+            fs::create_dir(path("new")).unwrap();
+            fs::rename(path(".crumple-unfinished-1"), path("new/c.json")).unwrap();
+        }
+        if made > 2 {
+            fs::remove_file(path("deep/b.json")).unwrap();
+        }
+        let seen = examine(folder.path()).unwrap();
+        assert!(seen.files.iter().all(|(_, state)| state.is_ok()), "{seen:?}");
+        is_new(folder.path());
+    }
+    // Once it is made, what was before is damage, as is what was never announced.
+    for (name, contents) in [("a.json", "second"), ("a.json", "fourth"), ("new/c.json", "")] {
+        let (folder, _) = announced();
+        drop(Work::open(folder.path(), OPTIONS).unwrap());
+        fs::write(folder.path().join(name), contents).unwrap();
+        let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+        assert!(said.contains(&format!("{name}: not as it was written")), "{said}");
+    }
+    let (folder, _) = announced();
+    fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
+    let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    assert!(said.contains("new/c.json: the file is missing"), "{said}");
+    let (folder, before) = announced();
+    fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
+    let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+    assert!(said.contains("deep/b.json: not as it was written"), "{said}");
+}
+
+/// A file that grows may be longer than what is known of it, and nothing else; saying again that it grows forgets nothing.
+#[test]
+fn what_is_known_of_a_file_that_grows_outlasts_going_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("journal");
+    let open = || Work::open(folder.path(), OPTIONS);
+    let work = open().unwrap();
+    work.changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+    fs::write(&path, "first").unwrap();
+    work.grew("journal", Prefix { bytes: 5, sha256: sha256("first") }).unwrap();
+    drop(work);
+    for whole in ["first", "first, second"] {
+        fs::write(&path, whole).unwrap();
+        open().unwrap().changes().write("plan.json", "plan").grow("journal").commit().unwrap();
+    }
+    for (damaged, said) in [("firs", "shorter than the 5 bytes"), ("First, second", "its first 5 bytes are not")] {
+        fs::write(&path, damaged).unwrap();
+        let error = open().err().unwrap().to_string();
+        assert!(error.contains(&format!("journal: {said}")), "{error}");
+    }
+    fs::remove_file(&path).unwrap();
+    assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
+}
+
+/// What is in the place of a result, or in a folder of the work, and is none of the work's own, is named, and nothing goes on beside it.
+#[test]
+fn strangers_are_named_and_nothing_goes_on_beside_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let asked = Asked { outputs: &["result.json", "parts/"], ..OPTIONS };
+    let named = |strangers: &[&str]| {
+        let found = examine(root).unwrap();
+        assert!(found.strangers == strangers && found.is_whole() == strangers.is_empty(), "{found:?}");
+        match (strangers.first(), Work::open(root, asked).err()) {
+            (None, error) => assert!(error.is_none(), "{error:?}"),
+            (Some(name), error) => {
+                let said = error.unwrap().to_string();
+                assert!(
+                    said.starts_with(&format!("{}: work.json knows no such file", root.join(name).display())),
+                    "{said}"
+                );
+            }
+        }
+    };
+    Work::open(root, asked).unwrap().write("plan.json", "plan").unwrap();
+    fs::create_dir(root.join("parts")).unwrap();
+    fs::write(root.join("notes.txt"), "beside the work").unwrap();
+    named(&[]);
+    for stranger in ["result.json", "parts/x.json"] {
+        fs::write(root.join(stranger), "of somebody").unwrap();
+        named(&[stranger]);
+        fs::remove_file(root.join(stranger)).unwrap();
+    }
+    // Work within the work is its own once it is done, and nobody else has anything to do in there.
+    let inner = Work::open(&root.join("inner"), OPTIONS).unwrap();
+    inner.write("a", "a").unwrap();
+    inner.finish().unwrap();
+    drop(inner);
+    let work = Work::open(root, asked).unwrap();
+    work.include("inner").unwrap();
+    work.changes().write("result.json", "result").write("parts/a", "a").commit().unwrap();
+    work.finish().unwrap();
+    drop(work);
+    named(&[]);
+    fs::write(root.join("inner/mine.txt"), "of somebody").unwrap();
+    named(&["inner/mine.txt"]);
+    fs::remove_file(root.join("inner/mine.txt")).unwrap();
+    fs::create_dir(root.join("parts/other")).unwrap();
+    named(&["parts/other"]);
+    fs::remove_dir(root.join("parts/other")).unwrap();
+    #[cfg(unix)]
+    {
+        let elsewhere = tempfile::tempdir().unwrap();
+        fs::rename(root.join("parts"), elsewhere.path().join("parts")).unwrap();
+        std::os::unix::fs::symlink(elsewhere.path().join("parts"), root.join("parts")).unwrap();
+        named(&["parts"]);
+    }
+}
+
+/// A manifest that somebody made names nothing outside its folder.
+#[test]
+fn nothing_outside_of_the_folder_is_moved_or_removed() {
+    let folder = worked();
+    let outside = folder.path().join("outside");
+    fs::write(&outside, "mine").unwrap();
+    let inner = folder.path().join("inner");
+    for (name, unfinished) in [("../outside", ".crumple-unfinished-0"), ("a.json", "../outside"), ("a.json", "b.json")]
+    {
+        fs::create_dir_all(&inner).unwrap();
+        let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(OPTIONS.configuration), &[]);
+        manifest.place(name, unfinished.to_owned(), FileState::of(b"mine"));
+        manifest.write(&inner).unwrap();
+        let said = Work::open(&inner, OPTIONS).err().unwrap().to_string();
+        assert!(said.contains("work.json: sha256: not as it was written"), "{said}");
+        assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
+        fs::remove_dir_all(&inner).unwrap();
+    }
+}
+
+#[test]
+fn what_is_left_over_is_neither_overwritten_nor_taken_in() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("parts")).unwrap();
+    for name in ["notes.txt", "a.json", "parts/7"] {
+        fs::write(folder.path().join(name), "mine").unwrap();
+    }
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
+        let said = work.write(name, "ours").unwrap_err().to_string();
+        assert!(said.contains(&format!("{left_over}: {UNKNOWN}")), "{said}");
+    }
+    work.write("b.json", "ours").unwrap();
+    drop(work);
+    for name in ["notes.txt", "a.json", "parts/7"] {
+        assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), "mine");
+    }
+    fs::remove_dir_all(folder.path().join("parts")).unwrap();
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    work.write("parts/1", "ours").unwrap();
+    drop(work);
+    let unfinished = folder.path().join("parts/.crumple-unfinished-x");
+    fs::write(&unfinished, "half").unwrap();
+    drop(Work::open(folder.path(), OPTIONS).unwrap());
+    assert!(!unfinished.exists());
+    fs::write(folder.path().join("parts/2"), "mine").unwrap();
+    let said = Work::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    assert!(said.contains("parts/2: work.json knows no such file"), "{said}");
+}
+
+/// Half done, it is its build's; complete, it is anybody's to read.
+#[test]
+fn half_done_work_of_another_build_is_refused() {
+    let folder = worked();
+    let path = folder.path().join(MANIFEST);
+    let mut manifest = Manifest::read(&path).unwrap().unwrap();
+    assert!(Work::open(folder.path(), OPTIONS).unwrap().is_complete());
+    manifest.program = Some("0".repeat(64));
+    manifest.write(folder.path()).unwrap();
+    let said = Work::open(folder.path(), OPTIONS).unwrap_err().to_string();
+    assert!(said.ends_with(OTHER_BUILD_MESSAGE), "{said}");
+    assert!(!examine(folder.path()).unwrap().is_of_this_build);
+}
+
+/// Earlier versions kept older copies in `previous/` while the work lasted. Those folders are still examined and resumed.
+#[test]
+fn a_folder_with_older_copies_is_examined_and_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    work.changes().write("log", "2").write("previous/log", "1").commit().unwrap();
+    drop(work);
+    fs::copy(folder.path().join(MANIFEST), folder.path().join("previous").join(MANIFEST)).unwrap();
+    let seen = examine(folder.path()).unwrap();
+    assert!(seen.is_whole() && seen.beside.is_empty(), "{seen:?}");
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    work.write("log", "3").unwrap();
+    work.finish().unwrap();
+    drop(work);
+    assert!(examine(folder.path()).unwrap().is_whole());
+    assert!(matches!(find(folder.path()).unwrap(), Found::Finished(_)));
+}
+
+/// Of work that lies in other work, every file and the manifest belong to both.
+#[test]
+fn damage_in_what_is_included_is_damage() {
+    for name in ["a.json", "deep/b.json", MANIFEST] {
+        let folder = tempfile::tempdir().unwrap();
+        let work = Work::open(folder.path(), OPTIONS).unwrap();
+        let inner = Work::open(&folder.path().join("rounds/01"), OPTIONS).unwrap();
+        inner.changes().write("a.json", "a").write("deep/b.json", "b").commit().unwrap();
+        inner.finish().unwrap();
+        drop(inner);
+        work.include("rounds/01").unwrap();
+        work.write("rounds/found.json", "beside it").unwrap();
+        drop(work);
+        let open = || Work::open(folder.path(), OPTIONS).map(|_| ()).map_err(|error| error.to_string());
+        open().unwrap();
+        fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
+        assert!(open().unwrap_err().contains(&format!("rounds/01/{name}: ")));
+        let seen = examine(folder.path()).unwrap().files.into_iter().find(|(_, state)| state.is_err());
+        assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
+    }
+}
+
+/// A process that ends while it writes the first manifest leaves what nobody knows of, and is in nobody's way.
+#[test]
+fn what_was_not_finished_is_cleared_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = folder.path().join(".crumple-unfinished-a");
+    fs::write(&left, "{").unwrap();
+    let work = Work::open(folder.path(), OPTIONS).unwrap();
+    work.write("state", "1").unwrap();
+    assert!(!left.exists());
+}
+
+/// What is longer than it was, a link, a pipe or a folder in the place of a file, and files beside those of a folder: none is read, and an
+/// examination names them all.
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_what_was_written_is_not_even_read() {
+    let replaced: [fn(&Path); 4] = [
+        |path| fs::File::create(path).unwrap().set_len(1 << 40).unwrap(),
+        |path| std::os::unix::fs::symlink("/dev/zero", path).unwrap(),
+        |path| fs::create_dir(path).unwrap(),
+        |path| assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success()),
+    ];
+    for name in [MANIFEST, "a.json", "deep/b.json", "deep/left-over.json"] {
+        for replace in replaced {
+            let folder = worked();
+            let path = folder.path().join(name);
+            let _ = fs::remove_file(&path);
+            replace(&path);
+            if name.ends_with("left-over.json") && path.is_dir() {
+                continue;
+            }
+            let said = Work::open(folder.path(), OPTIONS).err().unwrap().to_string();
+            assert!(said.contains(name), "{name}: {said}");
+            match examine(folder.path()) {
+                Ok(seen) => {
+                    let is_damaged = seen.files.iter().any(|(file, state)| file == name && state.is_err());
+                    assert!(is_damaged || seen.strangers == [name], "{name}");
+                }
+                Err(error) => assert!(error.to_string().contains(name)),
+            }
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! Crash maps: a situation over two of its figures, driven by the reference drivers and by whoever is asked for.
+
+use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::sim::NamedController;
+use serde::Serialize;
+
+use super::result::{DISCLAIMER, TestVerdict};
+use super::run::{Criterion, Driven, SuiteRunError};
+use super::situation::{Boundary, MapAxis, Situation};
+
+/// Most cells across, and most up.
+const MAX_CELLS: usize = 100;
+
+/// What a crash map is to show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CrashMapSpec {
+    situation: Situation,
+    cells: [usize; 2],
+}
+
+/// Why there is no such map.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MapProblem {
+    /// What is held is out of range.
+    #[error("must be from {low} to {high} {unit}, found {found}")]
+    OutOfRange {
+        /// The least value.
+        low: f64,
+        /// The largest.
+        high: f64,
+        /// Their unit.
+        unit: &'static str,
+        /// The value that was found.
+        found: f64,
+    },
+    /// Too few cells or too many.
+    #[error("must have 2 to {MOST_CELLS} cells each way, found {0}x{1}")]
+    Cells(usize, usize),
+}
+
+/// A crash map.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CrashMap {
+    /// What it is and is not.
+    pub statement: &'static str,
+    /// The situation, and what is held.
+    pub situation: Situation,
+    /// The figure that grows from left to right.
+    pub across: MapAxis,
+    /// The figure that grows from bottom to top.
+    pub up: MapAxis,
+    /// What the controllers looked through. Reference drivers see the truth.
+    pub estimator: EstimatorKind,
+    /// Lines of closed forms.
+    pub boundaries: Vec<Boundary>,
+    /// Points that a document states, at and beyond which contact has to be avoided: across and up.
+    #[serde(rename = "stated")]
+    pub stated_points: Vec<[f64; 2]>,
+    /// One entry a driver: the reference drivers first.
+    pub panels: Vec<MapPanel>,
+}
+
+/// What came of a driver.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MapPanel {
+    /// Its name.
+    pub driver: String,
+    /// Whether it is there as a reference.
+    pub is_reference: bool,
+    /// How many cells end in contact.
+    pub contacts: usize,
+    /// How many of them without having braked: of a reference driver, situations that it is no model of.
+    pub without_reaction: usize,
+    /// In how many cells its own closed form says otherwise; none where it has none.
+    pub unlike_closed_form: Option<usize>,
+    /// Every cell, row by row from the bottom, each row from the left.
+    pub cells: Vec<CrashCell>,
+}
+
+/// What came of a driver at a point.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CrashCell {
+    /// The figure across.
+    pub across: f64,
+    /// The figure up.
+    pub up: f64,
+    /// What happened.
+    #[serde(flatten)]
+    pub verdict: TestVerdict,
+    /// The smallest gap, in metres.
+    pub min_gap_m: Option<f64>,
+    /// The hardest braking of the vehicle under test, in m/s², positive: 0 where it never reacted.
+    pub max_brake_mps2: f64,
+}
+
+impl CrashMapSpec {
+    /// A map of a situation with so many cells across and up.
+    ///
+    /// # Errors
+    /// [`MapProblem`] for what is out of range.
+    pub fn new(situation: Situation, cells: [usize; 2]) -> Result<Self, MapProblem> {
+        if !situation.is_in_range() {
+            let ([low, high], unit, found) = match situation {
+                Situation::CarFollowing { time_gap_s } => (Situation::TIME_GAP_S, "s", time_gap_s),
+                Situation::CutInGap { own_speed_kmph } | Situation::CutInTime { own_speed_kmph } => {
+                    (Situation::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
+                }
+            };
+            return Err(MapProblem::Held { low, high, unit, found });
+        }
+        match cells.iter().all(|cells| (2..=MOST_CELLS).contains(cells)) {
+            true => Ok(Self { situation, cells }),
+            false => Err(MapProblem::Cells(cells[0], cells[1])),
+        }
+    }
+
+    /// Drives every cell with every driver. The result does not depend on the number of threads.
+    ///
+    /// # Errors
+    /// [`SuiteRunError`] for a controller that is refused on the way, and if a cell makes no scenario.
+    pub fn run(&self, controllers: &[NamedController], estimator: EstimatorKind) -> Result<CrashMap, SuiteRunError> {
+        let situation = self.situation;
+        let [across, up] = situation.axes(self.cells);
+        let points: Vec<[f64; 2]> = (0..up.cells)
+            .flat_map(|row| (0..across.cells).map(move |column| [across.middle(column), up.middle(row)]))
+            .collect();
+        let scenarios =
+            points.iter().map(|&[across, up]| situation.scenario(across, up)).collect::<Result<Vec<_>, _>>()?;
+        let boundaries = situation.boundaries([&across, &up]);
+        let references = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
+        let references = references.map(|spec| (NamedController::from(spec), EstimatorKind::Truth, true));
+        let asked = controllers.iter().map(|one| (one.clone(), estimator, false));
+        let panel = |(controller, estimator, is_reference): (NamedController, _, bool)| {
+            let driven = Driven { controller: &controller.kind, estimator };
+            let seen = driven.seen(Criterion::no_contact(situation.lead()), &scenarios);
+            controller.ensure_trusted()?;
+            let driver = controller.name;
+            let cells: Vec<CrashCell> = points
+                .iter()
+                .zip(seen)
+                .map(|(&[across, up], seen)| CrashCell {
+                    across,
+                    up,
+                    verdict: seen.verdict,
+                    min_gap_m: seen.min_gap_m,
+                    max_brake_mps2: seen.max_brake_mps2,
+                })
+                .collect();
+            let own = boundaries.iter().find(|line| is_reference && line.driver == Some(driver.as_str()));
+            let unlike = |line: &Boundary| {
+                let says = |cell: &&CrashCell| situation.touches(line, [cell.across, cell.up]);
+                cells.iter().filter(|cell| says(cell).is_some_and(|touches| touches != cell.is_contact())).count()
+            };
+            Ok(MapPanel {
+                contacts: cells.iter().filter(|cell| cell.is_contact()).count(),
+                without_reaction: cells.iter().filter(|cell| cell.is_without_reaction()).count(),
+                unlike_closed_form: own.map(unlike),
+                driver,
+                is_reference,
+                cells,
+            })
+        };
+        let panels = references.chain(asked).map(panel).collect::<Result<_, SuiteRunError>>()?;
+        let stated = situation.stated();
+        Ok(CrashMap { statement: DISCLAIMER, situation, across, up, estimator, boundaries, stated, panels })
+    }
+}
+
+impl CrashCell {
+    /// Whether it ends in contact.
+    #[must_use]
+    pub(crate) fn is_contact(&self) -> bool {
+        matches!(self.verdict, TestVerdict::Failed { .. })
+    }
+
+    /// Whether it ends in contact without having braked.
+    #[must_use]
+    pub fn is_without_reaction(&self) -> bool {
+        self.is_contact() && self.max_brake_mps2 == 0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::VehicleClass;
+
+    const SITUATIONS: [Situation; 3] = [
+        Situation::CarFollowing { time_gap_s: 1.0 },
+        Situation::CutInGap { own_speed_kmph: 100.0 },
+        Situation::CutInTime { own_speed_kmph: 100.0 },
+    ];
+
+    /// Nobody stays clear where full braking at once touches; the simple driver touches where its closed form says, but next to
+    /// the line, where a step or its margin of a metre decides.
+    #[test]
+    fn maps_agree_with_closed_forms() {
+        for situation in SITUATIONS {
+            let spec = CrashMapSpec::new(situation, [12, 10]).unwrap();
+            let drivers = ["full-brake", "baseline", "acc-aeb"].map(|name| NamedController::find(name, "".as_ref()));
+            let drivers: Vec<_> = drivers.into_iter().flatten().collect();
+            let map = spec.run(&drivers, EstimatorKind::Truth).unwrap();
+            let hardest = Boundary {
+                words: String::new(),
+                driver: None,
+                reaction_s: 0.0,
+                brake_mps2: VehicleClass::Light.max_brake_mps2(),
+                points: Vec::new(),
+            };
+            for panel in &map.panels {
+                assert_eq!(panel.cells.len(), 120);
+                for cell in &panel.cells {
+                    let touches = situation.touches(&hardest, [cell.across, cell.up]).unwrap();
+                    assert!(
+                        !touches || !cell.verdict.is_passed(),
+                        "{}: {} at {cell:?}",
+                        situation.name(),
+                        panel.driver
+                    );
+                }
+            }
+            let simple = map.panels.iter().find(|panel| panel.driver == "r157-simple").unwrap();
+            assert!(simple.unlike_closed_form.unwrap() <= 2, "{}: {simple:?}", situation.name());
+            assert!((1..120).contains(&simple.contacts), "{}", situation.name());
+        }
+    }
+
+    #[test]
+    fn rows_of_the_table_are_on_the_map_by_time_and_by_gap() {
+        let [_, by_gap, by_time] = SITUATIONS.map(Situation::stated);
+        let stated = [[10.0, 0.48], [20.0, 0.71], [30.0, 0.94], [40.0, 1.18], [50.0, 1.41], [60.0, 1.64]];
+        assert_eq!(by_time, stated);
+        for ([_, gap_m], [slower_kmph, time_s]) in by_gap.into_iter().zip(by_time) {
+            assert!((gap_m - time_s * slower_kmph / 3.6).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_refused() {
+        for time_gap_s in [f64::NAN, 0.0, 11.0, -1.0, f64::INFINITY] {
+            assert!(CrashMapSpec::new(Situation::CarFollowing { time_gap_s }, [2, 2]).is_err());
+        }
+        for own_speed_kmph in [f64::NAN, 29.0, 251.0] {
+            assert!(CrashMapSpec::new(Situation::CutInGap { own_speed_kmph }, [2, 2]).is_err());
+        }
+        for cells in [[1, 2], [2, 1], [101, 2], [0, 0], [usize::MAX, 2]] {
+            assert!(CrashMapSpec::new(SITUATIONS[0], cells).is_err());
+        }
+        for (held, least) in [(30.0, 15.0), (250.0, 85.0)] {
+            let [across, _] = Situation::CutInGap { own_speed_kmph: held }.axes([5, 5]);
+            assert_eq!(across.high - across.low, least);
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! Who could have prevented a contact: reference drivers, as regulations ask, and anybody who knows the future.
+
+use crumple_world::control::{ControllerSpec, Role};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::ControllerKind;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::result::TestVerdict;
+use super::run::{Criterion, Driven, Known};
+use crumple_search::falsify::counterexample::{Avoidability, Classed};
+
+/// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
+const MAX_AVOIDABILITY_CHECKS: usize = 3;
+
+/// What a reference driver does where a controller failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prevention {
+    /// The test passes with it.
+    Prevents,
+    /// It brakes, and touches.
+    Collides,
+    /// It touches without having braked: the situation is none of those that it is a model of.
+    DoesNotReact,
+}
+
+/// A reference driver and what it does.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReferenceRun {
+    /// Its name among the controllers.
+    pub driver: String,
+    /// What it does.
+    pub prevention: Prevention,
+}
+
+/// What is known of a point where a controller failed.
+#[derive(Debug, Clone)]
+pub(super) struct Preventability {
+    pub(super) references: Vec<ReferenceRun>,
+    pub(super) classification: Classed,
+}
+
+/// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
+pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario], known: &mut Known) -> Vec<Preventability> {
+    let name = |scenario: &Scenario| scenario.spec().name.clone();
+    let new: Vec<Scenario> =
+        scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
+    let references = references(criterion, &new);
+    for (index, scenario) in new.iter().enumerate() {
+        let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
+        known.insert(name(scenario), Preventability { references, classed: Classed::default() });
+    }
+    let is_open = |scenario: &&&Scenario| {
+        known.get(&name(scenario)).is_some_and(|known| known.classed.avoidability == Avoidability::NotAsked)
+    };
+    let asked: Vec<_> = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS).filter(is_open).collect();
+    let answers: Vec<_> = asked.par_iter().map(|scenario| (name(scenario), Classed::classify_contact(scenario))).collect();
+    for (name, answer) in answers {
+        if let Some(known) = known.get_mut(&name) {
+            known.classed = answer;
+        }
+    }
+    // Who was asked for another controller's sake is not told of, so that a result does not depend on the others.
+    let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
+        let mut prevented = known.get(&name(scenario))?.clone();
+        if index >= MAX_AVOIDABILITY_CHECKS {
+            prevented.classed = Classed::default();
+        }
+        Some(prevented)
+    });
+    told.collect()
+}
+
+/// What each reference driver does in each scenario.
+fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
+    let drivers = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
+    let runs = drivers.map(|spec| {
+        let driver = spec.name();
+        let controller = ControllerKind::from(spec);
+        let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(criterion, scenarios);
+        let prevention = |seen: super::run::Seen| match seen.verdict {
+            TestVerdict::Passed => Prevention::Prevents,
+            _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
+            _ => Prevention::DoesNotReact,
+        };
+        seen.into_iter().map(|seen| ReferenceRun { driver: driver.to_owned(), prevention: prevention(seen) }).collect()
+    });
+    runs.collect()
+}

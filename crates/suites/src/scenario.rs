@@ -1,0 +1,109 @@
+//! A point of a test as a scenario.
+
+use crumple_world::scenario::{
+    Brake, Driver, Environment, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION, Scenario,
+    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+};
+
+use super::parameter::Parameter;
+use super::spec::{Lead, TestSpec};
+
+/// When the vehicle ahead begins to brake and when vehicles cut in, in seconds: at once. A controller that drove before would come to
+/// another speed and gap than the clause states.
+const ONSET_S: f64 = 0.0;
+
+/// When vehicles cut out, in seconds: after one step, so that a controller has seen the vehicle that it follows.
+const CUT_OUT_S: f64 = STEP_S;
+
+/// How long a scenario goes on after the vehicles would have met, or the one ahead stands, in seconds.
+const TAIL_S: f64 = 20.0;
+
+const STEP_S: f64 = 0.01;
+
+/// How far ahead of one that cuts in the next vehicle drives, in metres: out of mind, and there for controllers that need one.
+const DUMMY_LEAD_GAP_M: f64 = 300.0;
+
+const VEHICLE_CLASS: VehicleClass = VehicleClass::Light;
+
+impl TestSpec {
+    /// The value of a parameter at a point, in SI units; 0 if it is not stated.
+    pub(super) fn si_value(&self, point: &[f64], parameter: Parameter) -> f64 {
+        let value = |(place, figure): (usize, &super::Figure)| Some(point.get(place)? * figure.unit.si_factor());
+        self.place(parameter).and_then(value).unwrap_or(0.0)
+    }
+
+    /// The scenario of a point: the vehicles ahead, and the one under test behind them.
+    ///
+    /// # Errors
+    /// [`InvalidField`] for a point that makes none; never for one of a valid suite's grid.
+    pub fn scenario(&self, name: &str, about: &str, point: &[f64]) -> Result<Scenario, InvalidField> {
+        let own_mps = self.si(point, Parameter::OwnSpeed);
+        let (mut vehicles, meets_s) = self.others(point, own_mps);
+        vehicles.push(VehicleSpec::new(VEHICLE_CLASS, 0.0, own_mps, Driver::UnderTest));
+        Scenario::new(ScenarioSpec {
+            version: SCENARIO_VERSION,
+            name: name.to_owned(),
+            about: about.to_owned(),
+            duration_s: (meets_s + TAIL_S).ceil(),
+            step_s: STEP_S,
+            seed: 0,
+            environment: Environment::default(),
+            sensors: Sensors::default(),
+            vehicles,
+        })
+    }
+
+    /// The gap at the start of a point that states it, as a length or as the time that driving it takes, in metres.
+    fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
+        match self.place(Parameter::TimeGap) {
+            Some(_) => self.si(point, Parameter::TimeGap) * own_mps,
+            None => self.si(point, Parameter::Gap),
+        }
+    }
+
+    /// The vehicles ahead, and when they would have been met or stand, in seconds.
+    fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
+        let si = |parameter| self.si(point, parameter);
+        let steady = |gap_m: f64, speed_mps: f64| scripted(gap_m, speed_mps, LeadProfile::ConstantSpeed);
+        let closing_s = si(Parameter::ClosingTime);
+        match self.lead {
+            Some(Lead::Decelerating) => {
+                let (rate_mps2, ramp_s) = (si(Parameter::Deceleration), si(Parameter::Ramp));
+                let mut lead = scripted(self.gap_m(point, own_mps), own_mps, braking(rate_mps2, ramp_s));
+                if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
+                    lead.max_brake_mps2 = Some(rate_mps2);
+                }
+                (vec![lead], ramp_s + own_mps / rate_mps2.max(0.1))
+            }
+            Some(Lead::CutIn) => {
+                let lead_mps = si(Parameter::LeadSpeed);
+                let mut lead = steady(closing_s * (own_mps - lead_mps), lead_mps);
+                lead.enters = Some(LaneChange::At(ONSET_S));
+                (vec![steady(lead.position_m + DUMMY_LEAD_GAP_M, own_mps), lead], closing_s)
+            }
+            Some(Lead::CutOut) => {
+                let mut lead = steady(self.gap_m(point, own_mps), own_mps);
+                lead.leaves = Some(LaneChange::At(CUT_OUT_S));
+                let meets_s = CUT_OUT_S + closing_s;
+                (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
+            }
+            Some(Lead::Slower) => {
+                let lead_mps = si(Parameter::LeadSpeed);
+                (vec![steady(closing_s * (own_mps - lead_mps), lead_mps)], closing_s)
+            }
+            Some(Lead::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
+        }
+    }
+}
+
+/// A scripted vehicle so far ahead of the vehicle under test.
+fn scripted_vehicle(gap_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {
+    VehicleSpec::new(VEHICLE_CLASS, gap_m + VEHICLE_CLASS.length_m(), speed_mps, Driver::Profile(profile))
+}
+
+fn braking_profile(rate_mps2: f64, ramp_s: f64) -> LeadProfile {
+    match ramp_s > 0.0 {
+        true => LeadProfile::RampBrake(RampBrake { onset_s: ONSET_S, rate_mps2, ramp_s, release_s: 0.0 }),
+        false => LeadProfile::Brake(Brake { onset_s: ONSET_S, rate_mps2 }),
+    }
+}

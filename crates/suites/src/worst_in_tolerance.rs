@@ -1,0 +1,192 @@
+//! The worst point of the ranges and tolerances that a clause allows, between the values of its grid too.
+
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+
+use super::parameter::Figure;
+use super::result::{Failed, TestVerdict};
+use super::run::{Criterion, Driven, Seen};
+use super::spec::TestSpec;
+use crumple_core::digest::sha256;
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::Unanswered;
+
+/// Points that are drawn evenly, at least one for each of the grid, then how often and how many near the worst so far.
+const SAMPLES: usize = 256;
+const REFINEMENTS: i32 = 5;
+const SAMPLES_PER_REFINEMENT: usize = 48;
+
+/// The worst point that was found within the ranges of a test.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WorstInTolerance {
+    /// The point in words.
+    pub point: String,
+    /// What happened there.
+    pub verdict: TestVerdict,
+    /// The smallest gap there, in metres.
+    pub min_gap_m: Option<f64>,
+    /// How many points were run: that none of them failed proves nothing of the others.
+    #[serde(rename = "tried")]
+    pub points_run: usize,
+    /// How many of them failed.
+    pub failures: usize,
+    /// In how many of those the controller gave no answer, and why in the first of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<Unanswered>,
+    /// What is known of it, if it failed.
+    #[serde(rename = "failed")]
+    pub failed_point: Option<Failed>,
+}
+
+/// A point, its scenario and what a run showed.
+pub(super) struct WorstPoint {
+    pub(super) point: Vec<f64>,
+    pub(super) scenario: Scenario,
+    pub(super) result: Seen,
+    pub(super) points_run: usize,
+    pub(super) failures: usize,
+    pub(super) unanswered: Option<Unanswered>,
+}
+
+/// A figure that is searched over.
+struct SearchRange<'t> {
+    position: usize,
+    figure: &'t Figure,
+    /// Whether the clause allows all values between those of the grid, not only their tolerances.
+    spans_grid: bool,
+}
+
+impl SearchRange<'_> {
+    /// Between what its value may lie at a point of the grid.
+    fn ends(&self, point: &[f64]) -> Option<[f64; 2]> {
+        let Figure { values, tolerance, .. } = self.figure;
+        let [first, last] = match self.is_whole {
+            true => [*values.first()?, *values.last()?],
+            false => [*point.get(self.place)?; 2],
+        };
+        Some([first - tolerance, last + tolerance])
+    }
+}
+
+/// What is searched over: the ranges that the clause states, and tolerances.
+fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
+    let stated = test.figures.stated().enumerate();
+    let range = |(place, (parameter, figure)): (usize, (_, _))| SearchRange {
+        place,
+        figure,
+        is_whole: test.ranges.contains(&parameter),
+    };
+    stated.map(range).filter(|range| range.is_whole || range.figure.tolerance > 0.0).collect()
+}
+
+/// The worst point found within the ranges and tolerances of a test; none of a test without them. What is drawn depends on the
+/// test alone.
+pub(super) fn find_worst(
+    name: &str,
+    about: &str,
+    test: &TestSpec,
+    criterion: Criterion,
+    driven: &Driven<'_>,
+) -> Option<WorstPoint> {
+    let ranges = ranges(test);
+    if ranges.is_empty() {
+        return None;
+    }
+    let grid = test.grid();
+    let mut search =
+        Search { name, about, test, criterion, driven, worst: None, tried: 0, failures: 0, unanswered: None };
+    let mut stream = random::stream(0, Purpose::Search, 1);
+    let drawn = (0..SAMPLES.max(grid.len())).filter_map(|index| {
+        let home = grid.get(index % grid.len())?;
+        let draw = |[low, high]: [f64; 2], _| low + (high - low) * stream.random::<f64>();
+        Some((home.as_slice(), perturb(home, home, &ranges, draw)))
+    });
+    search.look(drawn.collect());
+    for round in 1..=ROUNDS {
+        let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else {
+            break;
+        };
+        let width = 0.25 * 0.5_f64.powi(round);
+        let near = (0..NEAR).map(|_| {
+            let draw = |[low, high]: [f64; 2], value: f64| {
+                let normal: f64 = StandardNormal.sample(&mut stream);
+                value + width * (high - low) * normal
+            };
+            (home, perturb(home, &centre, &ranges, draw))
+        });
+        search.look(near.collect());
+    }
+    let Search { tried, failures, unanswered, worst, .. } = search;
+    worst.map(|(_, worst)| WorstPoint { tried, failures, unanswered, ..worst })
+}
+
+/// A point, after the point of the grid that it belongs to.
+type GridNeighbor<'t> = (&'t [f64], Vec<f64>);
+
+/// A search for the worst point.
+struct WorstPointSearch<'t> {
+    name: &'t str,
+    about: &'t str,
+    test: &'t TestSpec,
+    criterion: Criterion,
+    driven: &'t Driven<'t>,
+    /// The worst so far, with the point of the grid that it belongs to.
+    worst: Option<(&'t [f64], WorstPoint)>,
+    points_run: usize,
+    failures: usize,
+    unanswered: Option<Unanswered>,
+}
+
+impl<'t> Search<'t> {
+    /// Runs points, each with the point of the grid that it belongs to.
+    fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
+        let made = points.into_iter().filter_map(|(home, point)| {
+            let name = format!("{}-within-{}", self.name, sha256(self.test.in_words(&point)).get(..8)?);
+            let about = format!("{} ({}.)", self.about, self.test.in_words(&point));
+            Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
+        });
+        let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = made.unzip();
+        let seen = self.driven.seen(self.criterion, &scenarios);
+        self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
+        self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
+        seen.iter().for_each(|seen| Unanswered::join(&mut self.unanswered, seen.verdict.unanswered()));
+        for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
+            if self.worst.as_ref().is_none_or(|(_, worst)| badness(&seen) > badness(&worst.seen)) {
+                self.worst = Some((home, WorstPoint { point, scenario, seen, tried: 0, failures: 0, unanswered: None }));
+            }
+        }
+    }
+}
+
+/// A point with each value that is searched over moved by `draw`, of its ends and its value, to within its ends.
+fn perturb(
+    home: &[f64],
+    from: &[f64],
+    ranges: &[SearchRange<'_>],
+    mut draw: impl FnMut([f64; 2], f64) -> f64,
+) -> Vec<f64> {
+    let mut point = from.to_vec();
+    for range in ranges {
+        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.place)) {
+            *value = rounded(draw([low, high], *value)).clamp(low, high);
+        }
+    }
+    point
+}
+
+/// A value as somebody would state it.
+fn round_to_thousandth(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+/// How bad a point is: contacts by their speed, then failures of controllers, then small gaps; what was refused is not looked for.
+fn severity_key(seen: &Seen) -> (u8, f64) {
+    match &seen.verdict {
+        TestVerdict::Refused { .. } => (0, 0.0),
+        TestVerdict::Passed => (1, -seen.min_gap_m.unwrap_or(f64::INFINITY)),
+        TestVerdict::ControllerFailed { .. } => (2, 0.0),
+        TestVerdict::Failed { impact_speed_mps, .. } => (3, *impact_speed_mps),
+    }
+}

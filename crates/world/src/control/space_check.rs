@@ -1,0 +1,91 @@
+//! Whether what a controller file says fits the spaces in which a model was trained.
+
+use super::{InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
+use crate::network::SavedModel;
+
+/// What is that close to a bound has reached it: bounds are of single precision.
+const BOUND_TOLERANCE: f64 = 1e-3;
+
+/// Most inputs that one doubt names.
+const MAX_NAMED_INPUTS: usize = 3;
+
+/// The model's actions, and what they mean in m/s²; none for actions without bounds.
+fn action_range_mps2(output: &OutputMapping, saved: &SavedModel) -> Option<((f64, f64), [f64; 2])> {
+    let actions = saved.action_space.bounds(output.answer.unwrap_or_default())?;
+    if !(actions.0.is_finite() && actions.1.is_finite()) {
+        return None;
+    }
+    let meant_mps2 = [actions.0, actions.1].map(|action| {
+        let action = if output.squash == Some(Squash::Tanh) { action.tanh() } else { action };
+        output.offset_mps2 + output.scale_mps2 * action
+    });
+    Some((actions, [meant_mps2[0].min(meant_mps2[1]), meant_mps2[0].max(meant_mps2[1])]))
+}
+
+/// Refuses what cannot be right: a model of which every action means the same.
+pub(super) fn check(mapping: &Mapping, saved: &SavedModel) -> Result<(), InvalidMapping> {
+    let OutputMapping { low_mps2, high_mps2, .. } = mapping.output;
+    match action_range_mps2(&mapping.output, saved) {
+        Some(((low, high), [least_mps2, most_mps2])) if least_mps2 >= high_mps2 || most_mps2 <= low_mps2 => {
+            let problem = format!(
+                "leaves nothing of the model's actions of {low} to {high}, which mean {} to {} m/s² here, all beyond {low_mps2} \
+                 to {high_mps2}",
+                format_rounded(least_mps2),
+                format_rounded(most_mps2)
+            );
+            Err(InvalidMapping::new("output", problem))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What may be wrong, a line each. What was seen behind `VecNormalize` is not what the space of observations bounds.
+pub(super) fn warnings(mapping: &Mapping, saved: &SavedModel, is_normalised: bool) -> Vec<String> {
+    let seen = if is_normalised { None } else { input_warning(mapping, saved) };
+    seen.into_iter().chain(output_warning(&mapping.output, saved)).collect()
+}
+
+/// Inputs that leave what the model was trained to see.
+fn input_warning(mapping: &Mapping, saved: &SavedModel) -> Option<String> {
+    let outside = |(index, input): (usize, &InputMapping)| {
+        let ends = match (input.constant, input.quantity) {
+            (Some(constant), _) => [constant; 2],
+            (None, quantity) => quantity?.typical_range(),
+        };
+        let [a, b] = ends.map(|end| input.scaled(end));
+        let (least, most) = (a.min(b), a.max(b));
+        let (low, high) = saved.observation_space.bounds(index)?;
+        let close = BOUND_TOLERANCE * (1.0 + low.abs().min(high.abs()));
+        (least < low - close || most > high + close).then(|| {
+            let seen = if least == most { format_rounded(least) } else { format!("{} to {}", format_rounded(least), format_rounded(most)) };
+            format!("inputs[{index}] ({}) is {seen}, of {low} to {high}", input.name())
+        })
+    };
+    let all: Vec<String> = mapping.inputs.iter().enumerate().filter_map(outside).collect();
+    let named = all.get(..all.len().min(MAX_NAMED_INPUTS)).unwrap_or_default().join("; ");
+    let others = all.len().saturating_sub(MAX_NAMED_INPUTS);
+    let others = if others > 0 { format!("; and {others} more") } else { String::new() };
+    (!all.is_empty()).then(|| {
+        format!("in ordinary driving the model sees what its space of observations does not hold: {named}{others}")
+    })
+}
+
+/// Actions that reach less or more than the answer may be.
+fn output_warning(output: &OutputMapping, saved: &SavedModel) -> Option<String> {
+    let ((low, high), [least_mps2, most_mps2]) = action_range_mps2(output, saved)?;
+    let OutputMapping { low_mps2, high_mps2, .. } = *output;
+    let is_less = least_mps2 > low_mps2 + BOUND_TOLERANCE || most_mps2 < high_mps2 - BOUND_TOLERANCE;
+    let is_more = least_mps2 < low_mps2 - BOUND_TOLERANCE || most_mps2 > high_mps2 + BOUND_TOLERANCE;
+    let (least, most) = (format_rounded(least_mps2), format_rounded(most_mps2));
+    let meant = format!("the model's actions of {low} to {high} mean {least} to {most} m/s² here");
+    match (is_less, is_more) {
+        (false, false) => None,
+        (true, _) => Some(format!("{meant}, of low_mps2 = {low_mps2} to high_mps2 = {high_mps2}")),
+        (false, true) => Some(format!("{meant}, cut to low_mps2 = {low_mps2} to high_mps2 = {high_mps2}")),
+    }
+}
+
+fn format_rounded(value: f64) -> String {
+    // Without the sign of minus zero.
+    ((value * 1e3).round() / 1e3 + 0.0).to_string()
+}

@@ -1,0 +1,299 @@
+//! Braking without cause.
+
+use serde::{Deserialize, Serialize};
+
+use super::drive::{DriveStep, drive_steps};
+use crate::control::{Idm, IdmSettings};
+use crate::measure::approach::PairState;
+use crate::measure::comfort::SlidingExtreme;
+use crate::measure::demand::required_brake_mps2;
+use crate::measure::proximity::time_gap_s;
+use crate::sim::{Impact, Trace};
+
+/// By how much braking must exceed what had a cause to be without cause, in m/s²: 2.
+///
+/// Ours: about what drivers brake with in everyday traffic, so that a vehicle may brake as the reference driver and as
+/// any driver would besides.
+pub const UNNECESSARY_MARGIN_MPS2: f64 = 2.0;
+
+/// How long braking must last to count, in seconds: 0.2. Shorter pauses do not end it, so that whoever brakes in bursts
+/// brakes.
+///
+/// Ours: a change of speed of a few tenths of a metre a second is noise, to passengers and to the vehicle behind.
+pub const MIN_BRAKING_S: f64 = 0.2;
+
+/// How long a cause counts after it has gone, in seconds: 0.5.
+///
+/// Ours: what is seen, decided and built up in the brakes late is also given up late; half a second is the longest reaction
+/// of any vehicle in the built-in spaces.
+pub const CAUSE_LASTS_S: f64 = 0.5;
+
+/// A vehicle at a larger time gap does not follow the one ahead, in seconds: 3, the headway below which the Highway
+/// Capacity Manual 2000 counts vehicles as following.
+pub const MAX_FOLLOWING_TIME_GAP_S: f64 = 3.0;
+
+/// Braking below this speed does not count, in m/s: 3.
+///
+/// Ours: who stops for good reason holds the brake to the end, and the last 3 m/s of a full stop take 0.4 s, in which the
+/// reference driver would have rolled on to a smaller gap.
+pub const MIN_BRAKING_SPEED_MPS: f64 = 3.0;
+
+/// Braking harder than this is hard, in m/s²: 4, which drivers do not reach in everyday traffic.
+pub const HARD_BRAKE_MPS2: f64 = 4.0;
+
+/// Braking that has a cause up to this asks for no hard braking, in m/s²: 3.
+pub const EASY_BRAKE_MPS2: f64 = 3.0;
+
+/// Braking without cause: what a vehicle did to its passengers and to those behind that nothing ahead called for.
+///
+/// At any instant the deceleration that had a cause is the largest that, within the last [`CAUSE_LASTS_S`],
+/// - the Intelligent Driver Model demanded with its default settings, knowing the true state, its wish for another speed
+///   left aside: a (s*/s)²;
+/// - was required not to hit the vehicle ahead, should that hold its braking to standstill ([`required_brake_mps2`]);
+/// - the vehicle ahead braked with itself, within [`MAX_FOLLOWING_TIME_GAP_S`]: who brakes as the vehicle ahead does follows it,
+///   though a softer brake to a smaller gap would do;
+///
+/// and 0 with nobody ahead. The first two grow without bound as the gap closes: they excuse every brake in an emergency, and a brake
+/// on too small a gap. That a reference driver says what could be asked for is how UN Regulation 157 judges which collisions
+/// were preventable.
+///
+/// All of it is before the vehicle's first impact, and at [`MIN_BRAKING_SPEED_MPS`] at least. Source of the model: Treiber,
+/// Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are ours.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct UnnecessaryBraking {
+    /// For how long, in seconds, in all.
+    pub time_s: f64,
+    /// How often.
+    pub count: usize,
+    /// Where braking was furthest beyond what had a cause; none if there was none.
+    pub hardest: Option<BrakeInstant>,
+}
+
+/// Braking without cause, at one instant.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct BrakeInstant {
+    /// When, in seconds.
+    pub time_s: f64,
+    /// Deceleration, in m/s², positive.
+    pub brake_mps2: f64,
+    /// Deceleration that had a cause, in m/s², never negative.
+    #[serde(rename = "caused_mps2")]
+    pub justified_mps2: f64,
+}
+
+impl UnnecessaryBraking {
+    /// Braking of vehicle `index` by more than [`NEEDLESS_MARGIN_MPS2`] beyond what had a cause; none if there is no such
+    /// vehicle.
+    #[must_use]
+    pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        drive_steps(trace, impacts, index).map(Self::from_steps)
+    }
+
+    /// Braking of vehicle `index` harder than a limit, in m/s², where no more than that limit had a cause; none if there is no such
+    /// vehicle. Unlike [`UnnecessaryBraking::of`] it knows no margin: who brakes at 2.1 m/s² where 1.9 m/s² had a cause brakes harder
+    /// than 2 m/s² without cause.
+    #[must_use]
+    pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
+        let is_beyond = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
+        drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, is_beyond))
+    }
+
+    pub(super) fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
+        Self::from_steps_where(steps, |brake| brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2)
+    }
+
+    /// Braking harder than [`HARD_BRAKE_MPS2`] where less than [`EASY_BRAKE_MPS2`] had a cause.
+    pub(super) fn hard_from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
+        Self::from_steps_where(steps, |brake| brake.brake_mps2 > HARD_BRAKE_MPS2 && brake.justified_mps2 < EASY_BRAKE_MPS2)
+    }
+
+    /// Whether there was none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// How much harder vehicle `index` could have braked at any instant before it braked without cause, in m/s²: negative if it did, and
+    /// then by how much it braked too hard; none if there is no such vehicle, or it never drives at [`MIN_BRAKING_SPEED_MPS`].
+    pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
+        let margin = |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
+        if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {
+            return Some(margin(hardest));
+        }
+        // What exceeds it for less than it takes to count does not.
+        let all = brake_instants(drive_steps(trace, impacts, index)?);
+        all.map(|(_, brake)| margin(brake).max(0.0)).reduce(f64::min)
+    }
+
+    /// All braking of which this holds, and that lasts.
+    fn from_steps_where(steps: impl Iterator<Item = DriveStep>, is_needless: impl Fn(&BrakeInstant) -> bool) -> Self {
+        let (mut sum, mut open) = (Self::default(), None::<OpenBraking>);
+        for (step, brake) in brake_instants(steps).filter(|(_, brake)| is_needless(brake)) {
+            let until_s = step.time_s + step.duration_s;
+            match &mut open {
+                Some(braking) if step.time_s < braking.until_s + MIN_BRAKING_S => braking.extend(step.duration_s, brake),
+                _ => sum.add(open.replace(OpenBraking { until_s, lasted_s: step.duration_s, hardest: brake })),
+            }
+        }
+        sum.add(open);
+        sum
+    }
+
+    fn add(&mut self, braking: Option<OpenBraking>) {
+        // Times are sums of steps.
+        let Some(braking) = braking.filter(|braking| braking.lasted_s >= MIN_BRAKING_S * (1.0 - 1e-6)) else {
+            return;
+        };
+        self.time_s += braking.lasted_s;
+        self.count += 1;
+        self.hardest = Some(self.hardest.map_or(braking.hardest, |hardest| hardest.max_excess(braking.hardest)));
+    }
+}
+
+/// What is braked with at each step that is fast enough to count, beside what has a cause there.
+fn brake_instants(steps: impl Iterator<Item = DriveStep>) -> impl Iterator<Item = (DriveStep, BrakeInstant)> {
+    let reference = Idm::from(&IdmSettings::default());
+    let mut largest = SlidingExtreme::new(|new, old| new >= old);
+    let all = steps.map(move |step| {
+        let now_mps2 = step.ahead.as_ref().map_or(0.0, |state| justified_mps2(&reference, state));
+        let caused_mps2 = largest.push(now_mps2, step.time_s + step.duration_s, step.time_s - CAUSE_LASTS_S);
+        (step, BrakeInstant { time_s: step.time_s, brake_mps2: step.brake_mps2(), justified_mps2: caused_mps2 })
+    });
+    all.filter(|(step, _)| step.speed_mps >= MIN_BRAKING_SPEED_MPS)
+}
+
+impl BrakeInstant {
+    /// The one that is further beyond what had a cause; the earlier of equals.
+    fn max_excess(self, later: Self) -> Self {
+        if later.brake_mps2 - later.justified_mps2 > self.brake_mps2 - self.justified_mps2 { later } else { self }
+    }
+}
+
+/// Braking that may still go on.
+struct OpenBraking {
+    until_s: f64,
+    lasted_s: f64,
+    hardest: BrakeInstant,
+}
+
+impl OpenBraking {
+    fn extend(&mut self, held_s: f64, brake: BrakeInstant) {
+        self.until_s = brake.time_s + held_s;
+        self.lasted_s += held_s;
+        self.hardest = self.hardest.max_excess(brake);
+    }
+}
+
+/// Deceleration that has a cause in a state, in m/s², never negative: the instantaneous part of what [`UnnecessaryBraking`] is
+/// measured against.
+#[must_use]
+pub fn justified_brake_mps2(state: &PairState) -> f64 {
+    justified_mps2(&Idm::from(&IdmSettings::default()), state)
+}
+
+fn justified_mps2(reference: &Idm, state: &PairState) -> f64 {
+    let PairState { gap_m, front_speed_mps, rear_speed_mps, front_acceleration_mps2, .. } = *state;
+    let followed_mps2 = reference.interaction_brake_mps2(rear_speed_mps, [gap_m, front_speed_mps]);
+    let required_mps2 = required_brake_mps2(gap_m, front_speed_mps, -front_acceleration_mps2, rear_speed_mps);
+    let follows = time_gap_s(gap_m, rear_speed_mps).is_some_and(|gap_s| gap_s <= MAX_FOLLOWING_TIME_GAP_S);
+    let matched_mps2 = if follows { -front_acceleration_mps2 } else { 0.0 };
+    followed_mps2.max(required_mps2.unwrap_or(0.0)).max(matched_mps2)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::measure::testing::{driven, impact, trace};
+
+    /// A vehicle at 20 m/s, 200 m behind one that keeps that speed, and what it does.
+    fn steady_leader_trace(pieces: &[(f64, f64)]) -> Trace {
+        let total_s = pieces.iter().map(|(held_s, _)| held_s).sum();
+        let front = driven(4.0, 204.0, 20.0, &[(total_s, 0.0)], 0.05);
+        trace(vec![front, driven(4.0, 0.0, 20.0, pieces, 0.05)], 0.05)
+    }
+
+    /// (2 + 1.6 * 20)² / 200² of 0.73 m/s²: what the reference driver demands at the start.
+    const JUSTIFIED_MPS2: f64 = 0.73 * 34.0 * 34.0 / (200.0 * 200.0);
+
+    #[test]
+    fn braking_without_cause_by_hand() {
+        let needless = |pieces: &[(f64, f64)]| UnnecessaryBraking::of(&behind(pieces), &[], 1).unwrap();
+        let found = needless(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
+        let hardest = found.hardest.unwrap();
+        assert!((found.time_s - 0.8).abs() < 1e-9 && found.count == 2, "{found:?}");
+        assert!(
+            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0) && (hardest.caused_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
+        );
+        assert!(needless(&[(1.0, -2.0)]).is_none(), "within the margin");
+        assert!(needless(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_none(), "too short");
+        let bursts = needless(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
+        assert!((bursts.time_s - 0.2).abs() < 1e-9 && bursts.count == 1, "{bursts:?}");
+        assert_eq!(UnnecessaryBraking::of(&behind(&[(1.0, 0.0)]), &[], 2), None);
+    }
+
+    #[test]
+    fn braking_harder_than_a_limit_without_cause_by_hand() {
+        let harder = |limit_mps2: f64, pieces: &[(f64, f64)]| {
+            UnnecessaryBraking::from_trace_above_limit(limit_mps2, &behind(pieces), &[], 1).unwrap().count
+        };
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.1), (1.0, 0.0), (0.5, -5.0)]), 2, "no margin");
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.5, -2.0)]), 0, "no harder");
+        assert_eq!(harder(2.0, &[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]), 0, "too short");
+        assert_eq!(harder(0.9 * JUSTIFIED_MPS2, &[(0.5, -0.1)]), 0, "that much had a cause");
+        assert_eq!(UnnecessaryBraking::from_trace_above_limit(2.0, &behind(&[(1.0, 0.0)]), &[], 2), None);
+    }
+
+    #[test]
+    fn an_emergency_is_a_cause_and_what_follows_an_impact_is_not_braking() {
+        // Half a second behind one that brakes at 8 m/s² less would do: 20² / (2 * (10 + 25)) = 5.7 m/s².
+        let front = driven(4.0, 14.0, 20.0, &[(3.0, -8.0)], 0.05);
+        let rear = driven(4.0, 0.0, 20.0, &[(3.0, -7.6)], 0.05);
+        assert!(UnnecessaryBraking::of(&trace(vec![front, rear], 0.05), &[], 1).unwrap().is_none());
+        let mut hit = impact(1.0, 1, 20.0, 25.0);
+        (hit.first_involved, hit.last_involved) = (1, 2);
+        let braking = behind(&[(1.0, 0.0), (2.0, -7.0)]);
+        assert!(UnnecessaryBraking::of(&braking, &[hit], 1).unwrap().is_none(), "hit from behind before it braked");
+        assert!(!UnnecessaryBraking::of(&braking, &[], 1).unwrap().is_none());
+    }
+
+    #[test]
+    fn with_nobody_ahead_nothing_calls_for_braking() {
+        let leader = UnnecessaryBraking::of(&trace(vec![driven(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05), &[], 0);
+        let UnnecessaryBraking { time_s, count, hardest } = leader.unwrap();
+        assert!((time_s - 1.0).abs() < 1e-9 && count == 1);
+        assert_eq!(hardest, Some(BrakeInstant { time_s: 0.0, brake_mps2: 3.0, caused_mps2: 0.0 }));
+    }
+
+    proptest! {
+        /// Whatever happens: who does not brake does not brake without cause; the time is within that spent beyond the
+        /// margin; and finer steps show the same, up to a coarse step at each change and brakings that just last.
+        #[test]
+        fn braking_without_cause_is_braking(
+            gap_m in 20.0..90.0f64,
+            own in prop::collection::vec(-7.0..2.0f64, 6),
+            front in prop::collection::vec(-4.0..2.0f64, 6),
+        ) {
+            let pieces = |a: &[f64]| a.iter().map(|&a| (0.5, a)).collect::<Vec<_>>();
+            let line = |own: &[f64], step_s: f64| {
+                let front = driven(4.0, gap_m + 4.0, 25.0, &pieces(&front), step_s);
+                trace(vec![front, driven(4.0, 0.0, 25.0, &pieces(own), step_s)], step_s)
+            };
+            let needless = |own: &[f64], step_s| UnnecessaryBraking::of(&line(own, step_s), &[], 1).unwrap();
+            let coasting: Vec<f64> = own.iter().map(|a| a.max(0.0)).collect();
+            prop_assert!(needless(&coasting, 0.05).is_none());
+            let (coarse, fine) = (needless(&own, 0.05), needless(&own, 0.01));
+            let beyond_s = 0.5 * own.iter().filter(|a| **a < -NEEDLESS_MARGIN_MPS2).count() as f64;
+            prop_assert!(coarse.time_s <= beyond_s + 1e-9);
+            prop_assert!((coarse.time_s - fine.time_s).abs() <= 6.0 * 0.05 + 3.0 * MIN_BRAKING_S, "{coarse:?} {fine:?}");
+            if let Some(hardest) = coarse.hardest {
+                prop_assert!(hardest.brake_mps2 - hardest.caused_mps2 > NEEDLESS_MARGIN_MPS2 && hardest.caused_mps2 >= 0.0);
+            }
+        }
+    }
+}

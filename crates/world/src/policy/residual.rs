@@ -1,0 +1,168 @@
+//! Actions that say how far to depart from a law of driving.
+
+use serde::{Deserialize, Serialize};
+
+use super::ActionBounds;
+use crate::idm::{Idm, IdmSettings};
+use crate::observation::Observation;
+use crate::settings::ControllerSettings;
+
+/// A law of driving that is followed while the action is within a dead zone around 0; beyond it the acceleration goes
+/// towards one of the bounds, for which an action of -1 or 1 stands.
+///
+/// The law follows what is seen at every step, whatever the time between decisions, and departures from it come and go at a
+/// limited rate. So what a policy does that keeps within the dead zone is the law to the last bit, comfort and distance included.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ResidualControl {
+    /// Actions up to this, either way, follow the law; from 0 to 0.99.
+    pub dead_zone: f64,
+    /// How fast departures come and go, in 1/s: 4 takes a quarter of a second from the law to a bound; from 0.1 to 1000.
+    pub rate_per_s: f64,
+    /// The law: the Intelligent Driver Model with these settings.
+    #[serde(default)]
+    pub idm: IdmSettings,
+}
+
+/// Wider dead zones leave no room for departures.
+const MAX_DEAD_ZONE: f64 = 0.99;
+
+/// Slower departures come too late for any emergency, and faster ones take less than a step.
+const RATE_RANGE_PER_S: [f64; 2] = [0.1, 1000.0];
+
+impl ResidualControl {
+    /// Every number, the path of its field and its range.
+    pub fn parameters(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
+        let own =
+            [("dead_zone", self.dead_zone, [0.0, MAX_DEAD_ZONE]), ("rate_per_s", self.rate_per_s, RATE_RANGE_PER_S)];
+        let of_law = IdmSettings::FIELDS.iter().enumerate().map(|(index, field)| {
+            let value = self.idm.get(index).unwrap_or(f64::NAN);
+            (format!("idm.{}", field.name), value, field.range)
+        });
+        own.into_iter().map(|(field, value, range)| (field.to_owned(), value, range)).chain(of_law)
+    }
+
+    /// What is wrong with it: the path of the field, and the problem.
+    ///
+    /// # Errors
+    /// If a number is outside its range.
+    pub fn check(&self) -> Result<(), (String, String)> {
+        match self.parameters().find(|(_, value, [low, high])| !(low..=high).contains(&value)) {
+            None => Ok(()),
+            Some((field, value, [low, high])) => {
+                Err((field, format!("must be a number from {low} to {high}, found {value}")))
+            }
+        }
+    }
+
+    /// How far an action wants to depart, from -1, the lowest acceleration, to 1, the highest; 0 is the law.
+    fn target_residual(&self, action: f64) -> f64 {
+        let strength = ((action.abs() - self.dead_zone) / (1.0 - self.dead_zone)).max(0.0);
+        if action < 0.0 { -strength } else { strength }
+    }
+
+    /// The acceleration when one has departed so far, in m/s².
+    fn acceleration_mps2(&self, departed: f64, seen: &Observation, [low_mps2, high_mps2]: [f64; 2]) -> f64 {
+        let wanted_mps2 = Idm::from(&self.idm).desired_acceleration_mps2(seen);
+        // What cannot be computed means full braking, as for a network.
+        let law_mps2 = if wanted_mps2.is_nan() { low_mps2 } else { wanted_mps2.max(low_mps2).min(high_mps2) };
+        let bound_mps2 = if departed < 0.0 { low_mps2 } else { high_mps2 };
+        let strength = departed.abs();
+        ((1.0 - strength) * law_mps2 + strength * bound_mps2).max(low_mps2).min(high_mps2)
+    }
+}
+
+/// An action while it is held, and what has come of it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct HeldAction {
+    action: f32,
+    residual: f64,
+}
+
+impl HeldAction {
+    /// Holds another action, between -1 and 1, from now on.
+    #[inline]
+    pub fn set(&mut self, action: f32) {
+        self.action = action;
+    }
+
+    /// How far the driver has departed from the law, from 0 to 1; always 0 where there is none.
+    #[must_use]
+    #[inline]
+    pub fn residual(&self) -> f64 {
+        self.residual.abs()
+    }
+
+    /// The acceleration of the next step, in m/s²: linear in the action between the bounds, or between each of them and the law
+    /// that it departs from, which follows what is seen.
+    #[inline]
+    pub fn acceleration_mps2(&mut self, bounds: &ActionBounds, seen: &Observation, step_s: f64) -> f64 {
+        let ActionBounds { low_mps2, high_mps2, residual_over: departs_from } = bounds;
+        let Some(departure) = departs_from else {
+            return 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
+        };
+        let most = departure.rate_per_s * step_s;
+        self.residual += (departure.target_residual(f64::from(self.action)) - self.residual).max(-most).min(most);
+        departure.acceleration_mps2(self.residual, seen, [*low_mps2, *high_mps2])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::control::{BuiltIn, Controller, Ego};
+    use crate::observation::Neighbour;
+
+    const EGO: Ego = Ego { vehicle: 1, max_brake_mps2: 7.5, max_accel_mps2: 3.0, length_m: 4.0, step_s: 0.01 };
+
+    fn bounds(dead_zone: f64) -> ActionBounds {
+        let departs_from = Some(ResidualControl { dead_zone, rate_per_s: 4.0, idm: IdmSettings::default() });
+        ActionBounds { departs_from, ..ActionBounds::default() }
+    }
+
+    proptest! {
+        #[test]
+        fn within_the_dead_zone_it_is_the_law_and_beyond_it_goes_to_a_bound_in_time(
+            (gap_m, ahead_mps, speed_mps) in (-1.0..200.0, 0.0..40.0, 0.0..40.0),
+            dead_zone in 0.0..=0.99,
+            action in -1.0_f32..=1.0,
+        ) {
+            let ahead = Some(Neighbour { gap_m, speed_mps: ahead_mps, acceleration_mps2: 0.0 });
+            let seen = Observation { speed_mps, acceleration_mps2: 0.0, ahead, behind: None };
+            let bounds = bounds(dead_zone);
+            let mut idm = Idm::start(&IdmSettings::default(), &EGO, 0);
+            let law_mps2 = idm.decide(&seen).unwrap().clamp(-7.5, 3.0);
+            let mut held = HeldAction::default();
+            let mut after = |action, steps| {
+                held.turn_to(action);
+                let of_each = (0..steps).map(|_| held.acceleration_mps2(&bounds, &seen, 0.01)).collect::<Vec<_>>();
+                (of_each, held.departure())
+            };
+            let calm = (f64::from(action) * dead_zone * 0.999) as f32;
+            prop_assert_eq!(after(calm, 2), (vec![law_mps2; 2], 0.0));
+            let bound_mps2 = if action < 0.0 { -7.5 } else { 3.0 };
+            let (on_the_way, departure) = after(action.signum(), 26);
+            prop_assert_eq!((on_the_way[25], departure), (bound_mps2, 1.0));
+            let largest = on_the_way.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+            prop_assert!(largest <= 0.04 * (bound_mps2 - law_mps2).abs() + 1e-9);
+            prop_assert_eq!(after(calm, 26).0[25], law_mps2);
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_of_its_range_is_refused() {
+        let with =
+            |dead_zone, rate_per_s, idm| ResidualControl { dead_zone, rate_per_s, idm }.check().map_err(|(field, _)| field);
+        assert_eq!(with(0.3, 4.0, IdmSettings::default()), Ok(()));
+        assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
+        assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s".to_owned()));
+        assert_eq!(
+            with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }),
+            Err("idm.accel_mps2".to_owned())
+        );
+    }
+}

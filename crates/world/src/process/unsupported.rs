@@ -1,0 +1,37 @@
+//! Where there are no process groups, or nobody wants any.
+
+use std::path::Path;
+use std::time::Duration;
+
+use super::ProcessProblem;
+
+/// No program.
+pub(crate) enum ChildProcess {}
+
+impl ChildProcess {
+    pub(crate) fn start(_words: &[String], _found: Option<&Path>, _folder: &Path) -> Result<Self, ProcessProblem> {
+        Err(ProcessProblem::NotStarted {
+            reason: "processes as controllers need Unix, and a build with the feature `process`".to_owned(),
+        })
+    }
+
+    pub(crate) fn query(&mut self, _request: &[u8], _within: Duration) -> Result<&[u8], ProcessProblem> {
+        match *self {}
+    }
+
+    pub(crate) fn clear_stderr(&mut self) {
+        match *self {}
+    }
+
+    pub(crate) fn close_stdin(&mut self) {
+        match *self {}
+    }
+
+    pub(crate) fn shut_down(self) -> Vec<String> {
+        match self {}
+    }
+
+    pub(crate) fn terminate(self) -> Vec<String> {
+        match self {}
+    }
+}

@@ -1,0 +1,93 @@
+//! Who may lead an episode: any recorded vehicle, and what is known of those around it.
+
+use super::RecordedPlatoon;
+use super::episode::EpisodeVehicle;
+use super::motion::{SpeedSample, platoon_segments};
+use super::series::round_to_milli;
+
+/// The vehicle ahead of one that brakes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VehicleAhead {
+    /// Nobody that the recording knows of.
+    None,
+    /// A vehicle, by its number, whose speed and gap are known.
+    Recorded(usize),
+    /// A vehicle, by its number, of which they are not.
+    NotRecorded(usize),
+}
+
+/// A recorded vehicle as the leader of those behind it.
+pub(super) trait LeadVehicle {
+    /// Unbroken stretches of its motion.
+    fn segments(&self) -> Vec<Vec<SpeedSample>>;
+    /// The vehicle itself, with a speed.
+    fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle;
+    /// Who is behind it at a sample with known speeds and gaps, front to rear, without a break.
+    fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle>;
+    /// Speed of the next behind it, if at least so many `followers` are behind it with known speeds and gaps.
+    fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64>;
+    /// Number of the vehicle behind the first so many followers, if the recording has one.
+    fn next_behind(&self, followers: usize) -> Option<usize>;
+    fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead;
+    fn line_of(&self, sample: &SpeedSample) -> u64;
+    fn event(&self) -> Option<&str>;
+}
+
+/// A vehicle of a platoon, whose order never changes.
+pub(super) struct PlatoonLead<'a> {
+    pub(super) platoon: &'a RecordedPlatoon,
+    pub(super) index: usize,
+}
+
+impl PlatoonLead<'_> {
+    fn number_of(&self, index: usize) -> Option<usize> {
+        self.platoon.vehicles.get(index).map(|vehicle| vehicle.number)
+    }
+
+    fn episode_vehicle_at(&self, index: usize, gap_ahead_m: f64, speed_mps: f64) -> EpisodeVehicle {
+        let name = self.platoon.vehicles.get(index).and_then(|vehicle| vehicle.name.clone());
+        EpisodeVehicle { number: self.number_of(index).unwrap_or(0), name, gap_ahead_m, speed_mps, length_m: None }
+    }
+}
+
+impl LeadVehicle for PlatoonLead<'_> {
+    fn segments(&self) -> Vec<Vec<SpeedSample>> {
+        segments(self.platoon, self.index)
+    }
+
+    fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle {
+        self.episode_vehicle_at(self.index, 0.0, speed_mps)
+    }
+
+    fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {
+        let behind = self.index + 1..self.platoon.vehicles.len();
+        let known = behind.map_while(|index| Some((index, self.platoon.gap_and_speed(index, sample.index)?)));
+        known.map(|(index, (gap_m, speed_mps))| self.episode_vehicle_at(index, round_to_milli(gap_m), round_to_milli(speed_mps))).collect()
+    }
+
+    fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64> {
+        let mut behind = self.index + 1..=self.index + followers;
+        let are_known = behind.clone().all(|index| self.platoon.gap_and_speed(index, sample.index).is_some());
+        behind.next().filter(|_| are_known).and_then(|next| Some(self.platoon.gap_and_speed(next, sample.index)?.1))
+    }
+
+    fn next_behind(&self, followers: usize) -> Option<usize> {
+        self.number_of(self.index + followers + 1)
+    }
+
+    fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead {
+        let Some(index) = self.index.checked_sub(1) else { return VehicleAhead::None };
+        let number = self.number_of(index).unwrap_or(0);
+        let drives = self.platoon.vehicles.get(index).is_some_and(|ahead| ahead.speed_at_mps(sample.index).is_some());
+        let is_known = drives && self.platoon.gap_and_speed(self.index, sample.index).is_some();
+        if is_known { VehicleAhead::Recorded(number) } else { VehicleAhead::NotRecorded(number) }
+    }
+
+    fn line_of(&self, sample: &SpeedSample) -> u64 {
+        self.platoon.line.get(sample.index).copied().unwrap_or(0)
+    }
+
+    fn event(&self) -> Option<&str> {
+        self.platoon.event()
+    }
+}

@@ -1,0 +1,123 @@
+//! Long work on a thread of its own, while the calling thread passes on progress and looks for signals.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+use crate::threads;
+
+/// How often the calling thread looks for signals.
+const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(50);
+
+/// How long the end of the interpreter waits for work to end.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Whether work is to end early. Clones are one and the same.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StopFlag(Arc<AtomicBool>);
+
+impl StopFlag {
+    pub(crate) fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// How far work is: what is done, of how much, and how much of it failed.
+pub(crate) type ProgressCounts = (u64, u64, u64);
+
+/// What is under way, and who waits for its end.
+static ACTIVE_WORK: (Mutex<Vec<StopFlag>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
+
+/// Work under way, until it is dropped.
+struct ActiveWork(StopFlag);
+
+impl ActiveWork {
+    fn register(stop: &StopFlag) -> Self {
+        UNDER_WAY.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+        Self(stop.clone())
+    }
+}
+
+impl Drop for ActiveWork {
+    fn drop(&mut self) {
+        let (all, ended) = &UNDER_WAY;
+        all.lock().unwrap_or_else(PoisonError::into_inner).retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
+        ended.notify_all();
+    }
+}
+
+/// Ends all work that is under way when the interpreter is about to: in threads that it does not wait for. A thread of ours that
+/// called a controller in Python afterwards would be torn down in the middle, and the process with it.
+#[pyfunction]
+pub(crate) fn stop_all_work(py: Python<'_>) {
+    py.detach(|| {
+        let (all, ended) = &UNDER_WAY;
+        let all = all.lock().unwrap_or_else(PoisonError::into_inner);
+        all.iter().for_each(StopFlag::ask);
+        // A callable may take its time, but not for ever.
+        drop(ended.wait_timeout_while(all, EXIT_TIMEOUT, |all| !all.is_empty()));
+    });
+}
+
+/// Does `work` on the threads that simulate, without the interpreter's lock. `work` reports its progress to the function that it receives.
+/// That function stops it once `stop` is asked for: at a signal (Ctrl-C), and at an exception of `progress`.
+pub(crate) fn run_interruptible<T: Send>(
+    py: Python<'_>,
+    stop: &StopFlag,
+    progress: Option<&Py<PyAny>>,
+    work: impl FnOnce(&(dyn Fn(ProgressCounts) -> ControlFlow<()> + Sync)) -> T + Send,
+) -> PyResult<T> {
+    // It would wait for the threads that wait for it. Whether it would do so by chance must not decide: all work is done on them.
+    if rayon::current_thread_index().is_some() {
+        return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
+    }
+    let pool = threads::pool()?;
+    let _under_way = ActiveWork::begin(stop);
+    let (said, heard) = mpsc::channel::<ProgressCounts>();
+    py.detach(move || {
+        thread::scope(|scope| {
+            let worker = scope.spawn(move || {
+                pool.install(move || {
+                    work(&|state| {
+                        // The channel has no receiver any more once an exception was raised.
+                        let _ = said.send(state);
+                        if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                    })
+                })
+            });
+            let mut raised = None;
+            loop {
+                // The channel closes when the work is done.
+                let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
+                    Ok(state) => Python::attach(|py| tell(py, progress, state).and_then(|()| py.check_signals())),
+                    Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
+                    Err(RecvTimeoutError::Disconnected) => break,
+                };
+                if let Err(error) = looked
+                    && raised.is_none()
+                {
+                    stop.ask();
+                    raised = Some(error);
+                }
+            }
+            let done = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            raised.map_or(Ok(done), Err)
+        })
+    })
+}
+
+fn report_progress(py: Python<'_>, progress: Option<&Py<PyAny>>, (done, total, failures): ProgressCounts) -> PyResult<()> {
+    let Some(progress) = progress else { return Ok(()) };
+    progress.call1(py, PyTuple::new(py, [done, total, failures])?).map(|_| ())
+}

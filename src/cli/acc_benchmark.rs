@@ -1,0 +1,106 @@
+//! `crumple benchmark acc`: adaptive cruise control by a network, proved.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use crumple_evidence::{CruisePlan, Proved, Sampled};
+use crumple_verify::{Accepted, WorkLimit, check_with};
+use crumple_world::network::NetworkFile;
+
+use super::simulate::Format;
+use super::{Failure, output, reach};
+
+/// Proves of a network that it keeps its distance: ARCH-COMP AINNCS, adaptive cruise control
+#[derive(Args)]
+#[command(after_long_help = "\
+Two cars, x' = v, v' = γ, γ' = -2 γ + 2 a - 0.0001 v². The lead car's a is -2; the own car's is what the network answers every 0.1 s \
+to (30, 1.4, v_ego, D_rel, v_rel). From x_lead in [90, 110], v_lead in [32, 32.2], x_ego in [10, 11], v_ego in [30, 30.2], γ = 0, \
+D_rel >= 10 + 1.4 v_ego is to hold for 5 s (docs/acc-benchmark.md). Exit code 1 if the proved margin is negative.
+
+The benchmark's networks are not shipped: their repository says under which terms they are given. Of the same weights the official .onnx \
+subtracts 1 from every input and the .mat does not: they are two networks.
+
+Example:
+  crumple benchmark acc --network corpora/controllers/acc-5x20.onnx --certificate acc.json")]
+pub(super) struct AccBenchmark {
+    /// The network: F.onnx, or a model of Stable-Baselines3, F.zip
+    #[arg(long, value_name = "F")]
+    network: PathBuf,
+    /// How many parts D_rel at the start is cut in: 1 to 10 000
+    #[arg(long, value_name = "N", default_value_t = CELLS, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    cells: u32,
+    /// Random starts that are simulated beside it, besides the corners of the box: 1 to 10 000 000
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    samples: u32,
+    /// Seed of the random starts
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Where the certificate goes, and the file of the network beside it
+    #[arg(long, value_name = "FILE")]
+    certificate: Option<PathBuf>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+/// What is worth its time.
+const DEFAULT_CELLS: u32 = 16;
+
+/// A network as the benchmark sees it.
+pub(super) fn load_network(path: &Path) -> Result<CruisePlan, Failure> {
+    let file = NetworkFile::load(path).map_err(Failure::input)?;
+    CruisePlan::new(file).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+}
+
+impl AccBenchmark {
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let place = self.network.display();
+        let failed = |error| Failure::Input(format!("{place}: {error}"));
+        let plan = network(&self.network)?;
+        let shape = plan.shape();
+        let proved = plan.prove(self.cells).map_err(failed)?;
+        let begin = Instant::now();
+        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::NONE)
+            .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
+        let checked_s = begin.elapsed().as_secs_f64();
+        let sampled = plan.sample(self.samples as usize, self.seed);
+        if let Some(path) = &self.certificate {
+            reach::keep(path, &proved.certificate, plan.network_bytes())?;
+        }
+        let result = serde_json::json!({
+            "network": place.to_string(), "shape": shape, "cells": self.cells,
+            "proved": { "margin_m": proved.margin_m, "x_ego_m": proved.x_ego_m, "seconds": proved.seconds },
+            "checked_in_s": checked_s, "sampled": sampled,
+        });
+        let words = || self.text(&shape, &proved, (&accepted, checked_s), &sampled);
+        let printed = output::print_result(self.format, &result, words);
+        let gate = if proved.margin_m >= 0.0 {
+            Ok(())
+        } else {
+            Err(Failure::Gate("it is not shown that the distance is kept".to_owned()))
+        };
+        Failure::gate_first(gate, printed)
+    }
+
+    fn text(&self, shape: &str, proved: &Proved, (accepted, checked_s): (&Accepted, f64), sampled: &Sampled) -> String {
+        let width = |[low, high]: [f64; 2]| high - low;
+        // Bounds rounded to the side on which they hold.
+        let down = |value: f64| (100.0 * value).floor() / 100.0;
+        let up = |value: f64| (100.0 * value).ceil() / 100.0;
+        format!(
+            "adaptive cruise control (ARCH-COMP AINNCS), a network {shape}, D_rel cut in {cells}\n\
+             \x20 D_rel - 10 - 1.4 v_ego    at least {:.2} m proved, {:.2} m the least of {} starts\n\
+             \x20 width of x_ego at 5 s     at most {:.2} m proved, {:.2} m of the same\n\
+             \x20 time                      {:.3} s to prove, {checked_s:.3} s to check\n\
+             accepted: {accepted}\n",
+            down(proved.margin_m),
+            sampled.margin_m,
+            sampled.samples,
+            up(width(proved.x_ego_m)),
+            width(sampled.x_ego_m),
+            proved.seconds,
+            cells = self.cells,
+        )
+    }
+}

@@ -1,0 +1,121 @@
+//! Arguments that several subcommands share: which scenario, which controller.
+
+use std::ops::RangeInclusive;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use super::{Failure, output};
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::network::NetworkFile;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::{Space, find_space};
+use crumple_world::scenario::{Driver, Scenario, built_in, built_in_names, file};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
+
+/// A built-in scenario, or the one in a file.
+pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, Failure> {
+    if let Some(scenario) = built_in(name_or_path) {
+        return Ok(scenario);
+    }
+    let path = Path::new(name_or_path);
+    if path.extension().is_none() && !path.exists() {
+        let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+        return Err(Failure::Input(format!(
+            "`{name_or_path}` is neither a built-in scenario ({}) nor a file",
+            known.join(", ")
+        )));
+    }
+    let scenario = file::load(path)?;
+    // Programs that drive in it start once now: a missing one is an error of the scenario. Loading has refused them unless
+    // --allow-external is given.
+    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
+        if let Driver::File(driver) = &vehicle.driver
+            && let Some(controller) = driver.controller()
+        {
+            let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
+            let said = |error| Failure::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
+            named.try_start().map_err(said)?;
+        }
+    }
+    Ok(scenario)
+}
+
+/// A whole number of a range, for clap.
+pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {
+    move |words| {
+        let (low, high) = (range.start(), range.end());
+        let number = words.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
+    }
+}
+
+/// Reads a specification of runs like `nominal`, and warns where a formula is judged at the first instant only.
+pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, Failure> {
+    let read = Specification::parse(text, nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+    if let Some(warning) = read.warning() {
+        output::note(&format!("warning: --spec: {warning}"), quiet);
+    }
+    Ok(read)
+}
+
+/// A built-in space, or the one in a file, for clap; with the name it was asked for by.
+pub(super) fn parse_space(name_or_path: &str) -> Result<(String, Space), String> {
+    if name_or_path.trim().is_empty() {
+        return Err("no space is named".to_owned());
+    }
+    let space = find_space(name_or_path).map_err(|error| error.to_string())?;
+    Ok((name_or_path.to_owned(), space))
+}
+
+/// Parses a built-in controller or reads the one in a file, for clap. Starts nothing: [`try_controllers`] does.
+pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
+    let found = NamedController::find_for_user(name, Path::new("")).map_err(|error| error.to_string())?;
+    let mut named = NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner);
+    if !named.iter().any(|other| other.name == found.name) {
+        named.push(found.clone());
+    }
+    Ok(found)
+}
+
+/// A policy of crumple's own, for clap.
+pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
+    if NetworkFile::is_one(Path::new(name)) {
+        return Err(
+            "is a network from outside: policies that can be trained on are crumple's own, which `crumple train` makes"
+                .to_owned(),
+        );
+    }
+    controller(name)
+}
+
+/// Controllers that arguments name. Their programs start only after all arguments are read.
+static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
+
+/// What may be wrong with a controller, a line each.
+pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<Item = String> {
+    let name = controller.name.clone();
+    controller.kind.doubts().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
+}
+
+/// Starts the program of each controller that an argument names, once as a trial, and prints notes on the controllers.
+///
+/// # Errors
+/// [`Failure::Input`] for a program that does not start or does not introduce itself.
+pub(super) fn try_controllers(quiet: bool) -> Result<(), Failure> {
+    let named = std::mem::take(&mut *NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner));
+    for controller in &named {
+        controller.try_start().map_err(|error| Failure::Input(format!("controller `{}`: {error}", controller.name)))?;
+    }
+    named.iter().flat_map(of_controller).for_each(|note| output::note(&note, quiet));
+    Ok(())
+}
+
+/// What a scenario of scripts and fixed drivers does.
+pub(super) fn replay(scenario: &Scenario) -> Result<Simulated, Failure> {
+    let run = Run::new(
+        scenario,
+        RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth),
+    )?;
+    Ok(simulate(&run, RecordingLevel::Trace))
+}

@@ -1,0 +1,61 @@
+//! What `avoid` and `worst-case` do with a scenario they have found: write it, draw it, print about it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::Failure;
+use super::output;
+use super::simulate::{self, Format};
+use crumple_store::disk::Files;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::Simulated;
+
+/// Where a finding goes.
+#[derive(Args)]
+pub(super) struct ArtifactArgs {
+    /// Write what was found as a scenario for `crumple simulate`; a file there is replaced
+    #[arg(long, value_name = "F.toml")]
+    out: Option<PathBuf>,
+    /// Draw it; a file there is replaced
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+}
+
+impl ArtifactArgs {
+    /// Stages the files asked for: the scenario, and a drawing of what `replay` says of it.
+    pub(super) fn stage(
+        &self,
+        scenario: &Scenario,
+        driver: &str,
+        files: &mut Files,
+        replay: impl FnOnce() -> Result<Simulated, Failure>,
+    ) -> Result<(), Failure> {
+        if let Some(path) = &self.out {
+            files.stage(&output::place(path)?, file::to_toml(scenario).map_err(Failure::input)?.as_bytes())?;
+        }
+        if let Some(path) = &self.plot {
+            let run = replay()?;
+            if let Some(trace) = &run.trace {
+                files.stage(&output::place(path)?, &simulate::picture(path, scenario, driver, trace, &run.impacts)?)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Says that there is nothing to write, if something was to be.
+    pub(super) fn note_nothing_to_write(&self, why: &str, quiet: bool) {
+        if self.out.is_some() || self.plot.is_some() {
+            output::note(&format!("note: {why} to write or draw"), quiet);
+        }
+    }
+
+    /// Prints a report, in words or as one JSON object.
+    pub(super) fn print_report<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), Failure> {
+        output::print_result(self.format, report, || describe(report))
+    }
+}

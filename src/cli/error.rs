@@ -1,0 +1,132 @@
+//! How a subcommand fails, and the exit code each way has.
+
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use super::output;
+use crumple_evidence::rare::RareError;
+use crumple_learn::retrain::RetrainError;
+use crumple_learn::rl::GatherError;
+use crumple_report::assessment::{AssessError, ConfigError, EvidenceShardError, StoreError};
+use crumple_search::falsify::campaign::CampaignError;
+use crumple_store::disk::DiskError;
+use crumple_store::work::WorkError;
+use crumple_suites::{SuiteError, SuiteShardError};
+use crumple_world::recording::RecordingError;
+use crumple_world::scenario::file::FileError;
+use crumple_world::sim::{RefusedController, RunError};
+
+/// Why a subcommand did not succeed.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum CliError {
+    /// A gate did not hold: exit code 1.
+    #[error("{0}")]
+    Gate(String),
+    /// Arguments or input are unusable: exit code 2.
+    #[error("{0}")]
+    Input(String),
+    /// The environment failed: exit code 3.
+    #[error(transparent)]
+    Environment(DiskError),
+}
+
+impl CliError {
+    /// Unusable input, from any error that explains itself.
+    pub(super) fn input(error: impl fmt::Display) -> Self {
+        Self::Input(error.to_string())
+    }
+
+    /// A gate holds or does not, even where the results cannot be printed; only then that is the failure.
+    pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
+        gate.and(printed)
+    }
+
+    /// The exit code, as `--help` documents it.
+    #[must_use]
+    pub(super) fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::Gate(_) => ExitCode::from(1),
+            Self::Input(_) => ExitCode::from(2),
+            Self::Environment(_) => ExitCode::from(3),
+        }
+    }
+
+    /// Prints the failure to standard error, in one line: what it quotes of a file cannot look like more than one message.
+    pub(super) fn print(&self) {
+        let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
+        output::note(&format!("{kind}: {self}"), false);
+    }
+}
+
+impl CliError {
+    /// A file that could not be read: a wrong argument if it is not there or not text, otherwise the environment's fault.
+    pub(super) fn from_read_error(path: PathBuf, source: io::Error) -> Self {
+        match source.kind() {
+            io::ErrorKind::NotFound
+            | io::ErrorKind::IsADirectory
+            | io::ErrorKind::NotADirectory
+            | io::ErrorKind::InvalidData => Self::Input(format!("{}: {source}", path.display())),
+            _ => Self::Environment(DiskError { path, source }),
+        }
+    }
+}
+
+impl From<DiskError> for CliError {
+    fn from(error: DiskError) -> Self {
+        match error.source.kind() {
+            io::ErrorKind::AlreadyExists => Self::input(error),
+            _ => Self::Environment(error),
+        }
+    }
+}
+
+impl From<FileError> for CliError {
+    fn from(error: FileError) -> Self {
+        match error {
+            FileError::Read { path, source } => Self::unreadable(path, source),
+            other => Self::input(other),
+        }
+    }
+}
+
+impl From<RecordingError> for CliError {
+    fn from(error: RecordingError) -> Self {
+        match error {
+            RecordingError::Read { path, source } => Self::unreadable(path, source),
+            RecordingError::Map(error) => (*error).into(),
+            other => Self::input(other),
+        }
+    }
+}
+
+/// Converts errors. Those of the named variants have an exit code of their own; all others mean unusable input.
+macro_rules! from_errors {
+    ($($error:ident { $($inner:ident),* })*) => {$(
+        impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                match error {
+                    $($error::$inner(error) => error.into(),)*
+                    other => Self::input(other),
+                }
+            }
+        }
+    )*};
+}
+
+from_errors! {
+    AssessError { Store, Campaign }
+    CampaignError { Disk, Work }
+    ConfigError { File }
+    EvidenceShardError { Work, Assess }
+    GatherError { Work, Training }
+    RareError { Work, Merge }
+    RefusedController {}
+    RetrainError { Disk, Work, Campaign, Training }
+    RunError {}
+    StoreError { Disk }
+    SuiteError { File }
+    SuiteShardError { Work }
+    WorkError { Disk }
+}

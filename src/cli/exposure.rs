@@ -1,0 +1,83 @@
+//! Failures per hour and per 1000 km, in words.
+
+use std::fmt::Write;
+
+use crumple_core::digits::nearest;
+use crumple_core::quoted::Terminal;
+use crumple_evidence::exposure::{ExposedRate, Figure, Figures, MIN_RESAMPLES, WithDataUncertainty};
+
+/// The option `--resamples`: none, or enough for an interval.
+pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(found @ (0 | MIN_RESAMPLES..=2000)) => Ok(found),
+        _ => Err(format!("must be 0 or from {LEAST_RESAMPLES} to 2000, found {text}")),
+    }
+}
+
+/// What a rate comes to on the road.
+pub(super) fn format_rate(rate: &ExposedRate) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_text(rate, &mut text);
+    text
+}
+
+fn write_rate(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
+    let ExposedRate { episodes, left_out, waves, hours, kilometres, confidence, fitted, with_data, without_data } =
+        rate;
+    let percent = 100.0 * confidence;
+    writeln!(
+        out,
+        "on the road, where {episodes} episodes in {waves} waves were seen in {hours:.3} h and {kilometres:.1} km of following:"
+    )?;
+    if *left_out > 0 {
+        let all = episodes + left_out;
+        writeln!(
+            out,
+            "  of {all} brakings {episodes} could be used: rates per hour and per 1000 km count all {all}, as if the others failed as often"
+        )?;
+    }
+    let shown = |Figure { estimate, lower, upper }: Figure| {
+        format!("{} ({} to {})", nearest(estimate, 4), nearest(lower, 3), nearest(upper, 3))
+    };
+    let figures = |figures: &Figures, out: &mut String| {
+        let Figures { per_episode, per_hour, per_1000_km } = *figures;
+        writeln!(out, "    failures per episode  {}", shown(per_episode))?;
+        writeln!(out, "    failures per hour     {}", shown(per_hour))?;
+        writeln!(out, "    failures per 1000 km  {}", shown(per_1000_km))
+    };
+    writeln!(
+        out,
+        "  at {percent} %, were the fitted space the truth: intervals of the count and of the probability, each at {} %",
+        100.0 - 0.5 * (100.0 - percent)
+    )?;
+    figures(fitted, out)?;
+    let Some(with_data) = with_data else {
+        let why = without_data.as_deref().unwrap_or("nothing was resampled");
+        return writeln!(out, "  without the data's uncertainty: {}", Terminal(why));
+    };
+    let WithDataUncertainty { resamples, unfit, runs_each, .. } = with_data;
+    let how = match runs_each {
+        Some(runs) => format!("{runs} new runs in each"),
+        None => "a smaller estimate in each".to_owned(),
+    };
+    writeln!(
+        out,
+        "  at {percent} %, with the data's uncertainty: {resamples} resamples of the episodes, the space fitted to each; {how}"
+    )?;
+    figures(&with_data.figures, out)?;
+    if *unfit > 0 {
+        writeln!(out, "    to {unfit} resamples no space could be fitted: others were drawn in their place")?;
+    }
+    let part = |variance: Option<f64>| {
+        variance.map_or("not known (no failure)".to_owned(), |variance| format!("{:.1} %", 100.0 * variance.sqrt()))
+    };
+    writeln!(
+        out,
+        "    relative standard deviation of failures per hour: {} from the number of episodes, {} from what they were, {} from \
+         the runs",
+        part(Some(with_data.counting_variance)),
+        part(with_data.data_variance),
+        part(with_data.sampling_variance)
+    )
+}

@@ -1,0 +1,216 @@
+//! What `crumple simulate` says of a run: one line of JSON, or a text.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crumple_core::quoted::Terminal;
+use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, Usefulness};
+use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
+use crumple_world::sim::{Impact, Intervention, Outcome, Simulated, VehicleSummary};
+
+/// One line of `--format json`.
+#[derive(Serialize)]
+pub(super) struct RunReport<'a> {
+    pub(super) scenario: &'a str,
+    pub(super) controller: &'a str,
+    pub(super) estimator: &'static str,
+    pub(super) dt_s: f64,
+    pub(super) seed: u64,
+    /// The controller says of itself that another run may end otherwise.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub(super) nondeterministic: bool,
+    pub(super) outcome: Outcome,
+    pub(super) vehicles: &'a [VehicleSummary],
+    pub(super) impacts: &'a [Impact],
+    pub(super) vehicles_involved: usize,
+    /// Who entered the lane or left it, or was to.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) lane_changes: Vec<LaneChanges>,
+    #[serde(skip_serializing_if = "<[Intervention]>::is_empty")]
+    pub(super) interventions: &'a [Intervention],
+    /// One entry a vehicle under test.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(rename = "braking_without_cause")]
+    pub(super) unnecessary_braking: Vec<UnnecessaryBrakingReport>,
+    /// Vehicles under test that end far slower than the one ahead drives on.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) left_behind: Vec<usize>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) specifications: Vec<SpecificationResult>,
+}
+
+/// Braking without cause of a vehicle.
+#[derive(Serialize)]
+pub(super) struct UnnecessaryBrakingReport {
+    pub(super) vehicle: usize,
+    #[serde(flatten)]
+    pub(super) braking: UnnecessaryBraking,
+}
+
+/// What a specification says of a scenario.
+#[derive(Serialize)]
+pub(super) struct SpecificationResult {
+    pub(super) specification: String,
+    pub(super) satisfied: bool,
+    /// Below 0 if and only if it does not hold.
+    #[serde(with = "crumple_search::falsify::non_finite")]
+    pub(super) robustness: f64,
+}
+
+/// When a vehicle entered the lane and left it, in seconds; none for what did not happen.
+#[derive(Serialize)]
+pub(super) struct LaneChanges {
+    vehicle: usize,
+    entered_s: Option<f64>,
+    left_s: Option<f64>,
+}
+
+/// The report for a reader.
+pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
+    let mut text = String::new();
+    let RunReport { scenario: name, controller, estimator, dt_s, seed, .. } = report;
+    let mut line = |line: String| {
+        text += &format!("{}\n", Terminal(line.trim_end()));
+    };
+    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
+    if report.nondeterministic {
+        line("  the controller says that it is not deterministic: another run may end otherwise".to_owned());
+    }
+    match &report.outcome {
+        Outcome::ControllerFailed(failed) => line(format!("  CONTROLLER FAILED: {failed}")),
+        _ if report.impacts.is_empty() => line("  no collision".to_owned()),
+        _ => {}
+    }
+    for (index, impact) in report.impacts.iter().enumerate() {
+        let contact = impact.contact;
+        line(format!(
+            "  {} at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s ({:.1} against {:.1} m/s)",
+            if index == 0 { "COLLISION" } else { "then     " },
+            contact.time_s,
+            contact.rear_vehicle,
+            contact.front_vehicle,
+            contact.impact_speed_mps,
+            contact.rear_speed_mps,
+            contact.front_speed_mps
+        ));
+    }
+    if report.impacts.len() > 1 {
+        line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+    }
+    for change in &report.lane_changes {
+        line(format!("  {}", in_words(change, scenario)));
+    }
+    for UnnecessaryBrakingReport { vehicle, braking } in &report.braking_without_cause {
+        if let Some(BrakeInstant { time_s, brake_mps2, caused_mps2 }) = braking.hardest {
+            line(format!(
+                "  vehicle {vehicle} brakes without cause for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
+                 {caused_mps2:.1} had a cause",
+                braking.time_s
+            ));
+        }
+    }
+    for vehicle in &report.left_behind {
+        line(format!("  vehicle {vehicle} is left behind by the one ahead"));
+    }
+    for SpecificationResult { specification, satisfied, robustness } in &report.specifications {
+        let verdict = if *satisfied { "holds" } else { "VIOLATED" };
+        line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
+    }
+    for index in 0..report.vehicles.len() {
+        if let Some(said) = shield_line(report.interventions, index) {
+            line(said);
+        }
+    }
+    line(format!(
+        "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
+        "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
+    ));
+    for (index, (summary, vehicle)) in report.vehicles.iter().zip(scenario.vehicles()).enumerate() {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let driver = match &vehicle.driver {
+            Driver::UnderTest => (*controller).to_owned(),
+            Driver::Controller(spec) => spec.words(),
+            Driver::Profile(profile) => profile.name().to_owned(),
+            Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        };
+        line(format!(
+            "  {index:>3}  {:<6} {driver:<20} {:>11} {:>11} {:>15}  {}",
+            vehicle.class.name(),
+            number(summary.min_gap_m),
+            number(summary.min_ttc_s),
+            number(Some(summary.max_brake_mps2)),
+            if summary.stopped { "standing" } else { "moving" }
+        ));
+    }
+    text
+}
+
+/// When vehicles that may change lanes did, front to rear.
+pub(super) fn lane_changes(scenario: &Scenario, result: &Simulated) -> Vec<LaneChanges> {
+    let Some(trace) = &result.trace else { return Vec::new() };
+    let vehicles = scenario.vehicles().iter().zip(&trace.vehicles).enumerate();
+    let changes = vehicles.filter(|(_, (vehicle, _))| !vehicle.keeps_lane()).map(|(vehicle, (_, track))| {
+        let [entered_s, left_s] = track.in_lane_s.map(|time_s| Some(time_s).filter(|time_s| time_s.is_finite()));
+        LaneChanges { vehicle, entered_s, left_s }
+    });
+    changes.collect()
+}
+
+fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
+    let LaneChanges { vehicle, entered_s, left_s } = change;
+    let is_to =
+        |change: fn(&VehicleSpec) -> Option<LaneChange>| scenario.vehicles().get(*vehicle).and_then(change).is_some();
+    let entered = match (is_to(|vehicle| vehicle.enters), entered_s) {
+        (true, Some(time_s)) => format!("enters the lane at {time_s:.2} s"),
+        (true, None) => "stays beside the lane: the moment does not come, or there is no room".to_owned(),
+        (false, _) => String::new(),
+    };
+    let lane = if entered.is_empty() { "the lane" } else { "it" };
+    let left = match (is_to(|vehicle| vehicle.leaves), left_s) {
+        (true, Some(time_s)) => format!("leaves {lane} at {time_s:.2} s"),
+        (true, None) if entered_s.is_some() || entered.is_empty() => {
+            format!("does not leave {lane}: the moment does not come, or it touches somebody before")
+        }
+        _ => String::new(),
+    };
+    let both = if entered.is_empty() || left.is_empty() { "" } else { " and " };
+    format!("vehicle {vehicle} {entered}{both}{left}")
+}
+
+/// How the vehicles under test brake without cause, front to rear.
+pub(super) fn unnecessary_braking(scenario: &Scenario, result: &Simulated) -> Vec<UnnecessaryBrakingReport> {
+    let Some(trace) = &result.trace else { return Vec::new() };
+    let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
+    let of = |vehicle| {
+        let braking = UnnecessaryBraking::of(trace, &result.impacts, vehicle)?;
+        Some(UnnecessaryBrakingReport { vehicle, braking })
+    };
+    under_test.filter_map(of).collect()
+}
+
+/// The vehicles under test that are left behind, front to rear.
+pub(super) fn left_behind(scenario: &Scenario, result: &Simulated) -> Vec<usize> {
+    let Some(trace) = &result.trace else { return Vec::new() };
+    let is_left = |vehicle: &usize| {
+        let found = Usefulness::of(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
+        scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
+    };
+    (0..trace.vehicles.len()).filter(is_left).collect()
+}
+
+/// What the shield of a vehicle did, in a line; none if it did nothing.
+fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
+    let own = || interventions.iter().filter(move |one| one.vehicle == vehicle);
+    let first_s = own().next()?.from_s;
+    let braked_s: f64 = own().map(|one| one.to_s - one.from_s).sum();
+    let times = match own().count() {
+        1 => "once".to_owned(),
+        n => format!("{n} times"),
+    };
+    let outside = if own().any(|one| one.outside_kernel) { "; nothing could be promised any more" } else { "" };
+    let rear = if own().any(|one| one.rear_conflict) { "; the vehicle behind could not avoid it" } else { "" };
+    Some(format!(
+        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} s{outside}{rear}"
+    ))
+}

@@ -1,0 +1,82 @@
+//! Arguments that choose one of a few values by name.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use crumple_evidence::rare::RareMethod;
+use crumple_search::falsify::campaign::EvaluationLog;
+use crumple_search::worst_case::{Aim, EscapeKind};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::recording::Leaders;
+use crumple_world::sim::AfterContact;
+
+/// A value, the name it goes by, and what it means in the long help.
+type ArgValue<T> = (T, &'static str, &'static str);
+
+/// What vehicles under test may look through.
+pub(super) const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
+    (EstimatorKind::Kalman, "kalman", "Noisy sensors and a Kalman filter"),
+    (EstimatorKind::Truth, "truth", "The true state"),
+];
+
+/// What may happen at a contact.
+pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
+    (AfterContact::Stop, "stop", "End the run at the instant of contact"),
+    (
+        AfterContact::Continue,
+        "continue",
+        "Let the two stick together with common momentum and go on, so that a pile-up can be counted",
+    ),
+];
+
+/// What an attack may be after.
+pub(super) const AIMS: &[ArgValue<Aim>] = &[
+    (Aim::Mildest, Aim::Mildest.name(), "A collision with the least ∫ a² of the leader"),
+    (Aim::LeastPeak, Aim::LeastPeak.name(), "A collision with the least peak of its braking"),
+    (Aim::Severest, Aim::Severest.name(), "The fastest impact"),
+];
+
+/// Which of all escapes may be shown.
+pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
+    (EscapeKind::LargestGap, "largest-gap", "The one with the largest smallest gap"),
+    (
+        EscapeKind::Gentlest,
+        "gentlest",
+        "The one with the least ∫ a² that keeps half that gap, if the brake behind fires no later than for that: of all \
+         escapes with that firing, not of those with another, which may be gentler",
+    ),
+    (
+        EscapeKind::LeastJerk,
+        "least-jerk",
+        "Likewise the one whose acceleration changes least, of all escapes with that firing",
+    ),
+];
+
+/// Vehicles whose braking makes an episode of a recording.
+pub(super) const LEADERS: &[ArgValue<Leaders>] = &[
+    (Leaders::Any, "any", "Every vehicle with another behind it"),
+    (Leaders::First, "first", "Those that had no recorded vehicle ahead of them"),
+];
+
+/// Methods that estimate the probability of a rare failure.
+pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
+    (RareMethod::Splitting, "splitting", "Populations climb level by level"),
+    (
+        RareMethod::Importance,
+        "importance",
+        "Draws from a law fitted to where such populations arrive, with exact weights",
+    ),
+];
+
+/// Detail of the log of a search.
+pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
+    (EvaluationLog::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
+    (EvaluationLog::Summary, "summary", "Nothing: the summary and the counterexamples alone"),
+];
+
+/// One of `choices`, by its name.
+pub(super) fn one_of<T: Copy + Send + Sync + 'static>(
+    choices: &'static [ArgValue<T>],
+) -> impl TypedValueParser<Value = T> {
+    let possible = choices.iter().map(|&(_, name, help)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(possible)
+        .try_map(|name| choices.iter().find(|choice| choice.1 == name).map(|choice| choice.0).ok_or("unknown"))
+}

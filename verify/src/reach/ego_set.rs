@@ -1,0 +1,274 @@
+//! The ego: from one decision to the next.
+//!
+//! The actor decides every D steps; its answer u is held. It is affine in the symbols plus a rest, which becomes a new symbol. After
+//! s seconds w = v + u s, the speed is max(0, w), and the distance v s + u s²/2 + max(0, -w)²/(2|u|), the last of which is at most
+//! max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all members stop they cover at most v s/2. What this adds becomes new symbols too.
+//! So nothing that is uncertain is counted twice.
+//!
+//! Where some members stand at the beginning of the last step before the next decision and others move, the set is split in those
+//! two: who moves observes u as its acceleration and has stopped, if at all, within one step; who stands observes 0. Either set
+//! keeps what would belong to the other (a free speed below zero, for instance): too many members do no harm.
+//!
+//! # Few symbols
+//! Old symbols act alike: what was uncertain long ago shows as a distance and a speed in nearly the same proportion, whenever it
+//! was. So two of them with vectors p and q (distance, speed, acceleration) become one with p + q: for any λ from 0 to 1
+//!
+//! ```text
+//! p ε + q ε' = (p + q) (λ ε + (1 - λ) ε') + (p - λ (p + q)) ε + (q - (1 - λ) (p + q)) ε',
+//! ```
+//!
+//! where the first factor is again in [-1, 1], and the rest, small if p and q point the same way, becomes a symbol for each number.
+
+use super::braking::VehicleState;
+use super::form::{AffineForm, round_up};
+use super::ranges::BoxDimension;
+use super::relax::{relu, relu_above};
+use crate::interval::Interval;
+
+/// Symbols of the ranges, and of the instant at which the follower's brake fires. Those from here on are the leader's, if it brakes as it
+/// likes, and then the ego's own.
+pub(super) const SHARED_SYMBOLS: usize = BoxDimension::ALL.len() + 1;
+/// Most symbols that are the ego's own, and how many of them are left if they become more.
+const MAX_SYMBOLS: usize = 160;
+const REDUCED_SYMBOLS: usize = 120;
+
+/// What the members of a set have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum MotionMode {
+    /// They have not stopped yet, or not for longer than a step.
+    Moving,
+    /// They stand.
+    Standing,
+    /// They stood, and may have started again.
+    Restarted,
+}
+
+impl MotionMode {
+    pub(super) const ALL: [Self; 3] = [Self::Moving, Self::Standing, Self::Restarted];
+}
+
+/// One place for the set of each kind.
+pub(super) type ByMode<T> = [Option<T>; 3];
+
+/// A set of egos at an instant that is a decision's.
+#[derive(Debug, Clone)]
+pub(super) struct EgoSet {
+    pub(super) mode: MotionMode,
+    pub(super) ego: VehicleState,
+    /// Who follows each of them, if somebody does by a law.
+    pub(super) follower: Option<VehicleState>,
+    /// The first symbol that is their own.
+    first_own_symbol: usize,
+    /// The first symbol that is not in use.
+    pub(super) next_symbol: usize,
+}
+
+impl EgoSet {
+    /// Egos that drive at some speed, where so many symbols are shared with others.
+    pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
+        let kind = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
+        let ego = VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+        Self { mode: kind, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
+    }
+
+    /// The same egos, followed like this.
+    pub(super) fn with_follower(self, follower: Option<VehicleState>) -> Self {
+        Self { follower, ..self }
+    }
+
+    /// The same egos later within a decision interval. Those that stood and now may move have started again.
+    pub(super) fn with_ego(self, ego: VehicleState) -> Self {
+        let may_move = self.mode == MotionMode::Standing && !ego.speed.is_zero();
+        Self { mode: if may_move { MotionMode::Restarted } else { self.mode }, ego, ..self }
+    }
+
+    /// All egos `steps` steps into a decision interval; what they accelerate at is left open.
+    pub(super) fn ego_after(&self, wanted: &AffineForm, step: Interval, steps: u32) -> VehicleState {
+        if steps == 0 {
+            return VehicleState { acceleration: AffineForm::default(), ..self.ego.clone() };
+        }
+        advance_vehicle(&self.ego, wanted, Interval::point(f64::from(steps)) * step)
+    }
+
+    /// The egos at the next decision: those that move at the beginning of the last step before it, and those that stand.
+    pub(super) fn after_decision(&self, wanted: &AffineForm, step: Interval, decision_steps: u32) -> [Option<Self>; 2] {
+        let VehicleState { distance, speed, .. } = &self.ego;
+        let [until_last, time] =
+            [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
+        let half = Interval::point(0.5);
+        let free = |time: Interval| speed.clone().plus(&wanted.scaled(time));
+        let (before_last, acts) = (free(until_last).range(), wanted.range());
+        let braking = (-acts).max(Interval::ZERO);
+        if speed.is_zero() {
+            // Who stands accelerates at max(0, u).
+            let acceleration = relu(wanted);
+            let kind = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
+            let travelled = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
+            return [Some(self.with_state(kind, travelled, acceleration.scaled(time), acceleration)), None];
+        }
+        let moving = || {
+            // Who stops in the last step would have reversed at no more than b h.
+            let end = free(time);
+            let most_reversing = braking * step;
+            let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
+            let mut travelled = distance.clone().plus(&speed.scaled(time)).plus(&wanted.scaled(time.sqr() * half));
+            travelled.shift((reversing * step * half).hull(Interval::ZERO));
+            self.with_state(self.mode, travelled, relu_above(&end, -most_reversing.high()), wanted.clone())
+        };
+        let stopped = || {
+            // From at most b s within at most s seconds.
+            let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
+            let mut travelled = distance.clone();
+            travelled.shift((speed_mps * until_last * half).hull(Interval::ZERO));
+            self.with_state(MotionMode::Standing, travelled, AffineForm::default(), AffineForm::default())
+        };
+        let may_move = before_last.high() > 0.0 || acts.high() > 0.0;
+        let may_stand = before_last.low() <= 0.0 && acts.low() <= 0.0;
+        [may_move.then(moving), may_stand.then(stopped)]
+    }
+
+    /// The members of both, which may have different symbols but for the shared ones.
+    pub(super) fn join(&self, other: &Self) -> Self {
+        let symbols = self.next_symbol.max(other.next_symbol);
+        let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.join(b));
+        let VehicleState { distance, speed, acceleration } = self.ego.join(&other.ego);
+        Self { mode: self.mode, ego: self.ego.clone(), follower, first_own_symbol: self.first_own_symbol, next_symbol: symbols }.with_state(
+            self.mode,
+            distance,
+            speed,
+            acceleration,
+        )
+    }
+
+    fn with_state(&self, kind: MotionMode, distance: AffineForm, speed: AffineForm, acceleration: AffineForm) -> Self {
+        let (ego, follower) = (VehicleState { distance, speed, acceleration }, self.follower.clone());
+        let next = Self { mode: kind, ego, follower, ..*self }.with_rests_as_symbols();
+        if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS { next.reduce_order().with_rests_as_symbols() } else { next }
+    }
+
+    /// The same set with what is uncertain about distances and speeds as symbols.
+    fn with_rests_as_symbols(mut self) -> Self {
+        let used = self.forms().map(|form| form.terms().len());
+        let mut symbols = used.fold(self.next_symbol, usize::max);
+        for seen in [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten() {
+            for form in [&mut seen.distance, &mut seen.speed] {
+                *form = std::mem::take(form).with_rest_as_symbol(symbols);
+                symbols = symbols.max(form.terms().len());
+            }
+        }
+        Self { next_symbol: symbols, ..self }
+    }
+
+    /// Distance, speed and acceleration of the ego, and of a follower.
+    fn forms(&self) -> impl Iterator<Item = &AffineForm> {
+        let seen = [Some(&self.ego), self.follower.as_ref()].into_iter().flatten();
+        seen.flat_map(|VehicleState { distance, speed, acceleration }| [distance, speed, acceleration])
+    }
+
+    /// The same set with fewer symbols: the pairs that cost least become one each.
+    fn reduce_order(mut self) -> Self {
+        let mut vectors: Vec<Generator> = (self.first_own_symbol..self.next_symbol)
+            .map(|symbol| {
+                let mut vector = Generator::default();
+                for (to, form) in vector.iter_mut().zip(self.forms()) {
+                    *to = form.terms().get(symbol).copied().unwrap_or(0.0);
+                }
+                vector
+            })
+            .filter(|vector| *vector != Generator::default())
+            .map(normalize_sign)
+            .collect();
+        vectors.sort_by(|p, q| direction_key(p).total_cmp(&direction_key(q)));
+        let mut pairs: Vec<(GeneratorPair, usize)> =
+            vectors.as_chunks().0.iter().zip(0..).map(|([p, q], place)| (GeneratorPair::new(p, q), place)).collect();
+        pairs.sort_by(|a, b| a.0.cost().total_cmp(&b.0.cost()));
+        pairs.truncate(vectors.len().saturating_sub(REDUCED_SYMBOLS));
+        let mut beyond = Generator::default();
+        for (pair, place) in pairs {
+            (vectors[2 * place], vectors[2 * place + 1]) = (pair.sum, Generator::default());
+            beyond = std::array::from_fn(|i| round_up(beyond[i] + pair.excess[i]));
+        }
+        vectors.retain(|vector| *vector != Generator::default());
+        let seen = [Some(&mut self.ego), self.follower.as_mut()].into_iter().flatten();
+        let forms = seen.flat_map(|seen| [&mut seen.distance, &mut seen.speed, &mut seen.acceleration]);
+        for (i, form) in forms.enumerate() {
+            form.replace_terms(self.first_own_symbol, vectors.iter().map(|vector| vector[i]), beyond[i]);
+        }
+        self.next_symbol = self.first_own_symbol + vectors.len();
+        self
+    }
+}
+
+/// A vehicle some time later, if it holds an acceleration until it stands; what it accelerates at is left open.
+pub(super) fn advance_vehicle(VehicleState { distance, speed, .. }: &VehicleState, wanted: &AffineForm, time: Interval) -> VehicleState {
+    let half = Interval::point(0.5);
+    if speed.is_zero() && wanted.range().high() <= 0.0 {
+        return VehicleState { distance: distance.clone(), speed: speed.clone(), acceleration: AffineForm::default() };
+    }
+    let mut free = speed.clone();
+    free.add_scaled(wanted, time);
+    let mut travelled = distance.clone();
+    let (least, most) = (free.range().low(), free.range().high());
+    if most <= 0.0 {
+        let farthest = speed.range().max(Interval::ZERO) * time * half;
+        travelled.shift(farthest.hull(Interval::ZERO));
+        return VehicleState { distance: travelled, speed: AffineForm::default(), acceleration: wanted.clone() };
+    }
+    travelled.add_scaled(speed, time);
+    travelled.add_scaled(wanted, time.sqr() * half);
+    if least < 0.0 {
+        let reversed = Interval::point(-least) * time * half;
+        travelled.shift(reversed.hull(Interval::ZERO));
+    }
+    VehicleState { distance: travelled, speed: relu(&free), acceleration: wanted.clone() }
+}
+
+/// What a symbol is multiplied by in distance, speed and acceleration of the ego, and, where it follows by a law, of the follower.
+type Generator = [f64; 6];
+
+/// The vector or its negative, which says the same of a symbol.
+fn normalize_sign(vector: Generator) -> Generator {
+    let [distance, speed, _, behind, speed_behind, _] = vector;
+    let first = [distance, speed, behind, speed_behind].into_iter().find(|&number| number != 0.0);
+    if first.is_some_and(|first| first < 0.0) { vector.map(|number| -number) } else { vector }
+}
+
+/// From -1 to 1, by how much of it is the ego's speed; what is the follower's alone comes after that.
+fn direction_key(upright: &Generator) -> f64 {
+    let of = |distance: f64, speed: f64| if speed == 0.0 { 0.0 } else { speed / (distance.abs() + speed.abs()) };
+    match *upright {
+        [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => 3.0 + of(distance, speed),
+        [distance, speed, ..] => of(distance, speed),
+    }
+}
+
+/// Two vectors as one.
+struct GeneratorPair {
+    sum: Generator,
+    excess: Generator,
+}
+
+impl GeneratorPair {
+    fn new(p: &Generator, q: &Generator) -> Self {
+        let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
+        let (smaller, larger) = if size(p) > size(q) { (q, p) } else { (p, q) };
+        let sum: Generator = std::array::from_fn(|i| p[i] + q[i]);
+        // At least a half, so that 1 - λ does not round.
+        let share = (size(larger) / (size(larger) + size(smaller))).clamp(0.5, 1.0);
+        let beyond = std::array::from_fn(|i| {
+            let off = |number: f64, share: f64| {
+                let part = share * sum[i];
+                (number - part).abs() + (number.abs() + part.abs()) * (4.0 * f64::EPSILON)
+            };
+            round_up(off(larger[i], share) + off(smaller[i], 1.0 - share))
+        });
+        Self { sum, excess: beyond }
+    }
+
+    fn cost(&self) -> f64 {
+        self.excess.iter().sum()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,273 @@
+use proptest::prelude::*;
+
+use super::super::fixtures::{any, assert_bounds, exactly};
+use super::*;
+
+/// How far a set reaches along a direction, up to its middle: Σ |w · vector| for its symbols, and what belongs to no symbol.
+fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
+    let forms: Vec<&Form> = members.forms().collect();
+    let term = |symbol: usize| {
+        forms.iter().zip(along).map(|(form, w)| form.terms().get(symbol).unwrap_or(&0.0) * w).sum::<f64>().abs()
+    };
+    let rests = forms.iter().zip(along).map(|(form, w)| form.rest() * w.abs()).sum::<f64>();
+    (0..members.symbols).map(term).sum::<f64>() + rests
+}
+
+proptest! {
+    /// A set that reaches as far in every direction, from the same middle, holds all members; and it reaches hardly farther.
+    #[test]
+    fn fewer_symbols_hold_the_same_members(
+        decay in 0.9..1.1_f64,
+        noise in prop::collection::vec(prop::array::uniform6(-1e-4..1e-4_f64), MAX_SYMBOLS + 10),
+        along in prop::array::uniform6(-1.0..1.0_f64), is_followed: bool,
+    ) {
+        let forms: Vec<Form> = (0..6)
+            .map(|i| {
+                let mut form = Form::constant(Interval::point(i as f64));
+                for (symbol, noise) in noise.iter().enumerate() {
+                    let [distance, age] = [1.0, decay.powi(symbol as i32)];
+                    let term = [distance * age, 0.1 * age, -0.01 * age][i % 3] + noise[i];
+                    form.add(&Form::symbol(SHARED_SYMBOLS + symbol, Interval::around_zero(1.0)), Interval::point(term));
+                }
+                form
+            })
+            .collect();
+        let [ego, follower] = [0, 3].map(|from| {
+            let [distance, speed, acceleration] = [0, 1, 2].map(|i| forms[from + i].clone());
+            Seen { distance, speed, acceleration }
+        });
+        let follower = is_followed.then_some(follower);
+        let symbols = SHARED_SYMBOLS + MAX_SYMBOLS + 10;
+        let all = EgoSet { kind: Kind::Moving, ego, follower, shared: SHARED_SYMBOLS, symbols };
+        let fewer = all.clone().merged();
+        prop_assert!(fewer.symbols <= SHARED_SYMBOLS + REDUCED_SYMBOLS);
+        prop_assert_eq!(fewer.ego.speed.centre(), all.ego.speed.centre());
+        let (before, after) = (reaches(&all, &along), reaches(&fewer, &along));
+        prop_assert!(after >= before * (1.0 - 1e-12), "{before} {after}");
+        let largest = reaches(&all, &[1.0; 6]);
+        prop_assert!(after <= before + 0.05 * largest, "{before} {after}");
+    }
+}
+
+/// What the rectifier makes of numbers from l to h, if nobody is below the floor.
+fn relu_range([low, high]: [f64; 2], floor: f64) -> [f64; 2] {
+    let least = low.max(floor);
+    if least >= 0.0 {
+        return [low, high];
+    }
+    if high <= 0.0 { [0.0; 2] } else { [low * high / (high - least), high] }
+}
+
+fn egos_at_speed(speed: Form) -> EgoSet {
+    EgoSet::starting(speed, SHARED_SYMBOLS)
+}
+
+proptest! {
+    /// After a decision those who move and those who stand reach as far as the head of the module says, and no farther, and each
+    /// member is in one of the two sets.
+    #[test]
+    fn after_a_decision_members_are_where_the_closed_forms_say(
+        v0 in 0.0..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), every in 1..8_u32,
+        places in prop::collection::vec(prop::array::uniform2(0.0..=1.0_f64), 8),
+    ) {
+        let (h, [v1, u1]) = (0.1, [v0 + widths[0], u0 + widths[1]]);
+        let (s, t) = (f64::from(every - 1) * h, f64::from(every) * h);
+        let wanted = any(1, u0, u1);
+        let [moving, standing] = driving(any(0, v0, v1)).after_decision(&wanted, Interval::point(h), every);
+        let nears_a_limit = [v0 + u0 * s, v1 + u1 * s, v0 + u0 * t, v1 + u1 * t, u0, u1].into_iter().any(|x: f64| x.abs() < 1e-6);
+        prop_assume!(!nears_a_limit);
+        prop_assert_eq!(moving.is_some(), v1 + u1 * s > 0.0 || u1 > 0.0);
+        prop_assert_eq!(standing.is_some(), v0 + u0 * s <= 0.0 && u0 <= 0.0);
+        let brake = (-u0).max(0.0);
+        if let Some(moving) = &moving {
+            let reversing = (-(v0 + u0 * t)).clamp(0.0, brake * h);
+            let free = |v: f64, u: f64| v * t + 0.5 * u * t * t;
+            assert_bounds(moving.ego.distance.range(), [free(v0, u0), free(v1, u1) + 0.5 * reversing * h], 1e-10);
+            assert_bounds(moving.ego.speed.range(), cut([v0 + u0 * t, v1 + u1 * t], -brake * h), 1e-10);
+            prop_assert_eq!(&moving.ego.acceleration, &wanted);
+            prop_assert_eq!(moving.kind, Kind::Moving);
+        }
+        if let Some(standing) = &standing {
+            assert_bounds(standing.ego.distance.range(), [0.0, 0.5 * v1.min(brake * s) * s], 1e-10);
+            prop_assert!(standing.ego.speed.is_zero() && standing.ego.acceleration.is_zero());
+            prop_assert_eq!(standing.kind, Kind::Standing);
+        }
+        for [a, b] in places {
+            let (v, u) = (v0 + a * widths[0], u0 + b * widths[1]);
+            let stops = v + u * t < 0.0;
+            let covered = if stops { v * v / (-2.0 * u) } else { v * t + 0.5 * u * t * t };
+            let set = if v + u * s > 1e-9 { &moving } else { &standing };
+            let ego = &set.as_ref().unwrap().ego;
+            let is_in = |range: Interval, x: f64| range.low() - 1e-9 <= x && x <= range.high() + 1e-9;
+            prop_assert!(is_in(ego.distance.range(), covered) && is_in(ego.speed.range(), (v + u * t).max(0.0)));
+        }
+    }
+
+    /// Some steps into a decision interval a vehicle is where the closed form says; what it would have reversed is added at most.
+    #[test]
+    fn within_a_decision_members_are_where_the_closed_forms_say(
+        v0 in 0.1..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), steps in 1..20_u32,
+    ) {
+        let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
+        let t = f64::from(steps) * 0.1;
+        let wanted = any(1, u0, u1);
+        let Seen { distance, speed, acceleration } = driving(any(0, v0, v1)).moved(&wanted, Interval::point(0.1), steps);
+        let [least, most] = [v0 + u0 * t, v1 + u1 * t];
+        prop_assume!(least.abs() > 1e-6 && most.abs() > 1e-6);
+        let free = [v0 * t + 0.5 * u0 * t * t, v1 * t + 0.5 * u1 * t * t + 0.5 * (-least).max(0.0) * t];
+        assert_bounds(distance.range(), if most < 0.0 { [0.0, 0.5 * v1 * t] } else { free }, 1e-9);
+        assert_bounds(speed.range(), cut([least, most], f64::NEG_INFINITY), 1e-10);
+        prop_assert_eq!(acceleration, wanted);
+    }
+
+    /// What two symbols cost as one is what neither has in common with their sum.
+    #[test]
+    fn a_pair_costs_what_is_beyond_its_sum(
+        p in prop::array::uniform6(-2.0..2.0_f64), q in prop::array::uniform6(-2.0..2.0_f64),
+    ) {
+        let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
+        let share = size(&p) / (size(&p) + size(&q));
+        let cost: f64 = p.iter().zip(q).map(|(p, q)| 2.0 * (p - share * (p + q)).abs()).sum();
+        let found = Pair::new(&p, &q).cost();
+        prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= found && found <= cost + 1e-13, "{found} {cost}");
+    }
+
+    /// Symbols that act alike become one at no cost, whatever their sign, be they of the ego, of the follower or of both.
+    #[test]
+    fn symbols_in_the_same_proportion_become_one_for_nothing(
+        factors in prop::collection::vec(prop_oneof![-3.0..-0.3_f64, 0.3..3.0_f64], 85),
+        along in prop::array::uniform6(-1.0..1.0_f64), seed in 0..85_usize,
+    ) {
+        let mut all = driving(exactly(10.0)).followed(Some(driving(exactly(9.0)).ego));
+        let pairs = factors.iter().enumerate().flat_map(|(place, &factor)| {
+            let slope = place as f64 - 42.0;
+            let ego = [1.0, 0.1 * slope, 0.2, 0.3, 0.01 * slope, 0.0];
+            let alone = [0.0, 0.0, 0.0, 1.0, 0.1 * slope, -0.4];
+            let one = if place % 2 == 0 { ego } else { alone };
+            [one, one.map(|number| factor * number)]
+        });
+        // Neighbours are not alike.
+        let mut vectors: Vec<Generator> = pairs.collect();
+        vectors.rotate_left(2 * seed);
+        let vectors: Vec<Generator> = (0..170).map(|i| vectors[(i * 83) % 170]).collect();
+        let follower = all.follower.as_mut().unwrap();
+        let forms = [&mut all.ego.distance, &mut all.ego.speed, &mut all.ego.acceleration]
+            .into_iter()
+            .chain([&mut follower.distance, &mut follower.speed, &mut follower.acceleration]);
+        for (i, form) in forms.enumerate() {
+            form.replace(SHARED_SYMBOLS, vectors.iter().map(|vector| vector[i]), 0.0);
+        }
+        all.symbols = SHARED_SYMBOLS + 170;
+        let fewer = all.clone().merged();
+        prop_assert_eq!(fewer.symbols, SHARED_SYMBOLS + REDUCED_SYMBOLS);
+        let (before, after) = (reaches(&all, &along), reaches(&fewer, &along));
+        prop_assert!((after - before).abs() <= 1e-9 * before, "{before} {after}");
+    }
+}
+
+/// Who stands goes at max(0, u), and has started again if it may.
+#[test]
+fn who_stands_stays_or_starts_again() {
+    let step = Interval::point(0.1);
+    let after = |wanted: &Form| driving(Form::default()).after_decision(wanted, step, 3);
+    let [stands, none] = after(&any(1, -2.0, -1.0));
+    let stands = stands.unwrap();
+    assert!(
+        none.is_none() && stands.kind == Kind::Standing && stands.ego.distance.is_zero() && stands.ego.speed.is_zero()
+    );
+    let [starts, none] = after(&any(1, 1.0, 2.0));
+    let starts = starts.unwrap();
+    assert!(none.is_none() && starts.kind == Kind::Restarted);
+    assert_bounds(starts.ego.distance.range(), [0.045, 0.09], 1e-12);
+    assert_bounds(starts.ego.speed.range(), [0.3, 0.6], 1e-12);
+    // It moves in between as well, or does not.
+    let moved = |wanted: &Form| driving(Form::default()).moved(wanted, step, 2);
+    let stays = moved(&any(1, -2.0, -1.0));
+    assert!(stays.distance.is_zero() && stays.speed.is_zero() && stays.acceleration.is_zero());
+    assert_bounds(moved(&any(1, 1.0, 2.0)).distance.range(), [0.02, 0.04], 1e-12);
+}
+
+/// At the decision itself everybody is where it is, and its acceleration is left open.
+#[test]
+fn nothing_has_moved_at_the_decision() {
+    let mut members = driving(any(0, 3.0, 4.0));
+    members.ego.acceleration = exactly(2.0);
+    let seen = members.moved(&exactly(-1.0), Interval::point(0.1), 0);
+    assert!(seen.distance.is_zero() && seen.acceleration.is_zero() && seen.speed == members.ego.speed);
+}
+
+/// A set of which nobody moves any more is one of those who stand alone.
+#[test]
+fn a_set_that_has_stopped_is_no_set_that_moves() {
+    let step = Interval::point(0.1);
+    let kinds =
+        |speed: Form, wanted: Form| driving(speed).after_decision(&wanted, step, 3).map(|set| set.map(|set| set.kind));
+    assert_eq!(kinds(exactly(0.1), exactly(-2.0)), [None, Some(Kind::Standing)]);
+    assert_eq!(kinds(exactly(0.5), exactly(-2.0)), [Some(Kind::Moving), None]);
+    // Bounds that hold nobody but members that reverse.
+    assert_eq!(kinds(any(0, -1.0, -0.5), Form::default()), [None, Some(Kind::Standing)]);
+}
+
+/// As many symbols as may be stay as they are; one more, and they become fewer.
+#[test]
+fn symbols_become_fewer_once_they_are_too_many() {
+    for (count, expected) in [(MAX_SYMBOLS, MAX_SYMBOLS), (MAX_SYMBOLS + 1, REDUCED_SYMBOLS)] {
+        let mut speed = exactly(10.0);
+        speed.replace(SHARED_SYMBOLS, (0..count).map(|i| 1.0 + i as f64), 0.0);
+        let mut members = driving(exactly(10.0));
+        members.symbols = SHARED_SYMBOLS + count;
+        let next = members.next(Kind::Restarted, Form::default(), speed, Form::default());
+        assert!(
+            next.kind == Kind::Restarted && next.symbols.abs_diff(SHARED_SYMBOLS + expected) <= 1,
+            "{}",
+            next.symbols
+        );
+    }
+}
+
+/// The first number that says anything of where somebody is or how fast is made positive.
+#[test]
+fn a_symbol_and_its_negative_are_one() {
+    let cases = [
+        [1.0, -2.0, 3.0, -4.0, 5.0, -6.0],
+        [0.0, 2.0, -3.0, -4.0, 5.0, -6.0],
+        [0.0, 0.0, -3.0, 4.0, -5.0, -6.0],
+        [0.0, 0.0, -3.0, 0.0, 5.0, -6.0],
+        // An acceleration alone says nothing.
+        [0.0, 0.0, -3.0, 0.0, 0.0, -6.0],
+    ];
+    for vector in cases {
+        assert_eq!(upright(vector), vector);
+    }
+    for vector in &cases[..4] {
+        assert_eq!(upright(vector.map(|number| -number)), *vector);
+    }
+}
+
+/// A direction is the share of the speed; those of the follower alone come after all others.
+#[test]
+fn a_direction_is_the_share_of_the_speed() {
+    for (vector, expected) in [
+        ([1.0, 0.0, 9.0, 9.0, 9.0, 9.0], 0.0),
+        ([3.0, 1.0, 9.0, 9.0, 9.0, 9.0], 0.25),
+        ([3.0, -1.0, 9.0, 9.0, 9.0, 9.0], -0.25),
+        ([0.0, 2.0, 9.0, 9.0, 9.0, 9.0], 1.0),
+        ([0.0, 0.0, 9.0, 3.0, 1.0, 9.0], 3.25),
+        ([0.0, 0.0, 9.0, 0.0, 2.0, 9.0], 4.0),
+        ([0.0, 0.0, 9.0, 2.0, 0.0, 9.0], 3.0),
+        ([0.0, 0.0, 9.0, 0.0, 0.0, 9.0], 0.0),
+    ] {
+        assert_eq!(direction(&vector), expected, "{vector:?}");
+    }
+}
+
+/// Only who stood has started again, and only if it may move.
+#[test]
+fn who_moves_later_within_an_interval_is_of_the_same_kind() {
+    let seen = |speed| Seen { distance: Form::default(), speed, acceleration: Form::default() };
+    let kind = |before: Form, after: Form| EgoSet::starting(before, SHARED_SYMBOLS).driven(seen(after)).kind;
+    assert_eq!(kind(exactly(5.0), exactly(4.0)), Kind::Moving);
+    assert_eq!(kind(exactly(5.0), exactly(0.0)), Kind::Moving);
+    assert_eq!(kind(exactly(0.0), exactly(0.0)), Kind::Standing);
+    assert_eq!(kind(exactly(0.0), exactly(0.1)), Kind::Restarted);
+}

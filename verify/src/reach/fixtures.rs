@@ -1,0 +1,86 @@
+//! What tests of several modules start from.
+
+use super::form::Form;
+use super::{Actor, Input, OBSERVED, Ranges, Scene};
+use crate::interval::Interval;
+
+/// The numbers from one to another.
+pub(super) fn interval(low: f64, high: f64) -> Interval {
+    Interval::new(low, high).unwrap()
+}
+
+/// One number, as exactly as it is.
+pub(super) fn point_form(number: f64) -> Form {
+    Form::constant(Interval::point(number))
+}
+
+/// The numbers from one to another, of which `symbol` says which.
+pub(super) fn symbol_form(symbol: usize, low: f64, high: f64) -> Form {
+    Form::symbol(symbol, from(low, high))
+}
+
+/// Bounds are those that are expected: never inside them, and never farther outside than `slack`.
+#[track_caller]
+pub(super) fn assert_bounds(found: Interval, [low, high]: [f64; 2], slack: f64) {
+    let is_near = found.low() >= low - slack && found.high() <= high + slack;
+    // What is expected was rounded as well.
+    let holds = found.low() <= low + slack * 1e-3 && found.high() >= high - slack * 1e-3;
+    assert!(is_near && holds, "{found:?} for {low} to {high}");
+}
+
+/// An affine function of what is observed.
+pub(super) fn affine_input(of: [f64; OBSERVED], constant: f64) -> Input {
+    Input { of, constant, absent: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
+}
+
+/// An actor that asks for an affine function of what it observes, and has no network.
+pub(super) fn affine_controller(of: [f64; OBSERVED], constant: f64) -> Actor {
+    Actor {
+        inputs: vec![input(of, constant)],
+        steps: Vec::new(),
+        answer: 0,
+        scale_mps2: 1.0,
+        offset_mps2: 0.0,
+        action_mps2: [-8.0, 3.0],
+        is_cut: false,
+        departs_from: None,
+        empty_gap_m: 80.0,
+        decision_interval_s: 0.1,
+        source: None,
+    }
+}
+
+/// An actor that asks for the same whatever it observes.
+pub(super) fn constant_controller(mps2: f64) -> Actor {
+    affine([0.0; OBSERVED], mps2)
+}
+
+/// One start, in the order of the ranges.
+pub(super) fn point_box(point: [f64; 8]) -> Ranges {
+    let [ahead, behind, leader, ego, follower, leader_brake, follower_brake, onset] = point.map(Interval::point);
+    Ranges {
+        gap_ahead_m: ahead,
+        gap_behind_m: behind,
+        leader_speed_mps: leader,
+        ego_speed_mps: ego,
+        follower_speed_mps: follower,
+        leader_brake_mps2: leader_brake,
+        follower_brake_mps2: follower_brake,
+        onset_steps: onset,
+    }
+}
+
+/// A second in steps of 0.1 s, with a decision at each, nobody behind, and exact observations.
+pub(super) fn default_problem(actor: &Actor, ranges: Ranges) -> Scene<'_> {
+    Scene {
+        actor,
+        ranges,
+        follower: None,
+        leader_brakes_at_most_mps2: None,
+        observation_error: [0.0; OBSERVED],
+        step_s: 0.1,
+        steps: 10,
+        decision_steps: 1,
+        stop_at_doubt: false,
+    }
+}

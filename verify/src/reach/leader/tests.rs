@@ -1,0 +1,111 @@
+use proptest::prelude::*;
+
+use super::super::Dimension;
+use super::super::fixtures::{any, assert_bounds, constant, from, scene, start};
+use super::super::propagate::Scene;
+use super::*;
+
+const STEP_S: f64 = 0.1;
+
+fn leader(speeds: [f64; 2], limit_mps2: f64, steps: u32, decision_steps: u32) -> Leader {
+    let actor = constant(0.0);
+    let mut ranges = start([20.0; 8]);
+    ranges.leader_speed_mps = from(speeds[0], speeds[1]);
+    let scene = Scene {
+        leader_brakes_at_most_mps2: Some(limit_mps2),
+        step_s: STEP_S,
+        steps,
+        decision_steps,
+        ..scene(&actor, ranges)
+    };
+    let speed = Form::symbol(Dimension::LeaderSpeedMps as usize, ranges.leader_speed_mps);
+    Leader::new(&scene, [speed, Form::default(), Form::default()], Interval::point(STEP_S))
+}
+
+/// What the rectifier makes of numbers from l to h.
+fn relu_range([low, high]: [f64; 2]) -> [f64; 2] {
+    if low >= 0.0 { [low, high] } else { [low * high / (high - low), high.max(0.0)] }
+}
+
+/// Distance and speed of a vehicle that brakes at b from the start.
+fn braking_motion(v: f64, b: f64, t: f64) -> (f64, f64) {
+    if b * t <= v { (v * t - 0.5 * b * t * t, v - b * t) } else { (v * v / (2.0 * b), 0.0) }
+}
+
+proptest! {
+    /// At every instant speed and distance reach as far as the forms of the head of the module say, cut off at standstill and at the
+    /// distance on which the slowest stops: no nearer and no farther.
+    #[test]
+    fn a_leader_within_a_limit_is_where_the_forms_say(
+        v0 in 0.5..30.0_f64, width in 0.1..5.0_f64, b in 0.5..9.0_f64, every in 1..8_u32, decisions in 1..12_u32, at in 0..110_u32,
+    ) {
+        // Beyond its end as well: there it is held to nothing but its limit.
+        let (steps, k) = (every * decisions, at % (every * decisions + 4));
+        let (v1, leader) = (v0 + width, leader([v0, v0 + width], b, steps, every));
+        let Seen { distance, speed, acceleration } = leader.at(k, Interval::point(STEP_S));
+        let t = f64::from(k) * STEP_S;
+        if k == 0 {
+            prop_assert!(distance.is_zero() && acceleration.is_zero());
+            prop_assert_eq!(speed, any(Dimension::LeaderSpeedMps as usize, v0, v1));
+            return Ok(());
+        }
+        assert_bounds(acceleration.range(), [-b, 0.0], 1e-10);
+        let slack = 1e-11 * (1.0 + v1 + b * t) * (1.0 + t);
+        assert_bounds(speed.range(), cut([v0 - b * t, v1]), slack);
+        // One e for every whole block.
+        let early = f64::from((k / every).min(decisions)) * b * (f64::from(every) * STEP_S).powi(2) / 8.0;
+        let least = braked(v0, b, t).0;
+        let free = [v0 * t - 0.5 * b * t * t - early, v1 * t + early];
+        let [low, high] = cut(free.map(|end| end - least));
+        assert_bounds(distance.range(), [least + low, least + high], slack);
+        // However it brakes: always, never, or from the middle on.
+        let (stopping, later) = (braked(v0, b, 0.5 * t), braked(v1, b, 0.5 * t));
+        for (covered, then) in [braked(v0, b, t), (v1 * t, v1), (0.5 * v1 * t + later.0, later.1), then_coast(stopping, t)] {
+            prop_assert!(distance.range().low() - slack <= covered && covered <= distance.range().high() + slack);
+            prop_assert!(speed.range().low() - slack <= then && then <= speed.range().high() + slack);
+        }
+        // It has no other symbols than it says.
+        let symbols = leader.symbols();
+        prop_assert_eq!(symbols, 2 * decisions as usize);
+        prop_assert!(distance.terms().len().max(speed.terms().len()) <= SHARED_SYMBOLS + symbols);
+        prop_assert!(!leader.has_stood(k, Interval::point(STEP_S)));
+    }
+}
+
+/// Brakes over the first half of a time, and then holds its speed.
+fn then_coast((covered, speed): (f64, f64), t: f64) -> (f64, f64) {
+    (covered + 0.5 * speed * t, speed)
+}
+
+/// Whoever stands at the start stays where it is, exactly.
+#[test]
+fn a_leader_that_stands_stays() {
+    let leader = leader([0.0, 0.0], 6.0, 20, 2);
+    for k in [0, 1, 2, 7, 20] {
+        let Seen { distance, speed, acceleration } = leader.at(k, Interval::point(STEP_S));
+        assert!(distance.is_zero() && acceleration.is_zero() && speed.range().contains(0.0));
+        assert!(leader.has_stood(k, Interval::point(STEP_S)));
+    }
+}
+
+/// Blocks are as long as keeps them few; within one the acceleration is any at all.
+#[test]
+fn many_decisions_share_symbols() {
+    for (decisions, blocks) in [(200, 200), (201, 101), (400, 200), (401, 134)] {
+        assert_eq!(leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbols(), 2 * blocks);
+    }
+    assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbols(), 0);
+}
+
+/// A script's accelerations are told apart as the script does; within a limit there is nothing to tell apart.
+#[test]
+fn accelerations_of_a_script_are_those_of_its_brake() {
+    let step = Interval::point(STEP_S);
+    let ranges = [any(2, 20.0, 21.0), any(5, 5.0, 6.0), any(7, 2.0, 5.5)];
+    let [speed, rate, onset] = ranges;
+    let braking = Braking::new(speed, rate, onset, from(2.0, 5.5), step);
+    let of_braking = braking.accelerations(4, step);
+    assert!(of_braking.len() > 1);
+    assert_eq!(Leader::Scripted(Box::new(braking)).accelerations(4, step), of_braking);
+    assert!(leader([10.0, 11.0], 6.0, 20, 2).accelerations(4, step).is_empty());
+}

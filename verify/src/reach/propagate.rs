@@ -1,0 +1,451 @@
+//! Where everybody can be: the vehicles of a box, driven by an actor, step by step.
+//!
+//! Leader and follower brake to standstill at some time: see [`braking`](super::braking); or the leader brakes as it likes: see
+//! [`led`](super::led); or the follower drives by a law: see [`follower`](super::follower). What the ego does from one decision to the next: see [`members`](super::members),
+//! and where it departs from a law, [`course`](super::course) and [`departure`](super::departure).
+//!
+//! # Sets
+//! There is a set for each kind of ego: those that move, those that stand, those that have started again. Sets of a kind are joined
+//! at every decision, so that there are never more than three, however many members stop at however many instants.
+//!
+//! # The follower's emergency brake
+//! It fires at the first instant at which guard = gap - θ (v_r - v_e) < 0. `travel` drives the members *whose follower has not
+//! fired*. A decision interval in which some guard may be negative, first at instant j1 and last at j2, is a window: those whose
+//! follower fires from j1 to j2 are driven by themselves from the decision before j1 on, with τ a symbol of its own. Where windows
+//! are many, neighbours become one. A set in which all guards are negative at some instant has nobody left who has not fired, and
+//! is dropped. As long as all instants of a window are in one decision interval, every observed acceleration of the follower is
+//! known; see [`window`](super::window). Nothing uses that the guard of the members that fire was not negative before: they are a subset of what is driven.
+//!
+//! # What is observed of others
+//! Who brakes from some time on is seen to accelerate at 0 or at -b, or at the mean of both in the one step in between: at a decision before which some members begin
+//! to brake, or stop, that is two or three numbers, and not all from one to the other. An ego that [departs](super::departure) from a law answers each of them in a case of its own. What comes of the cases
+//! is joined at the next decision, and next to nothing is lost where no answer leaves the dead zone.
+//!
+//! # Contact
+//! Gaps are compared at decisions. In between g'' ≤ m, the most the vehicle ahead accelerates (at least 0) less the least the one
+//! behind does (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see [`avoidable`](crate::avoidable). An ego
+//! that still moves at the end has not stopped in between, unless it follows a law and may have started again: then "at least 0" is not needed for it. The gap to a follower that
+//! stands never falls, whatever bounds of the ego say, which hold members that reverse.
+//!
+//! # Standstill
+//! Once nobody moves and the actor wants nobody to, every later decision sees what this one saw, and nothing is left to do.
+
+use super::controller::{NeuralController, OBSERVATION_SIZE};
+use super::braking::{BrakingVehicle, VehicleState};
+use super::command_profile::CommandProfile;
+use super::residual::{Residual, ResidualPolicy, law_input_errors};
+use super::follower::{LawFollower, FollowerModel, FollowerLaw, LawInput};
+use super::form::AffineForm;
+use super::leader::LeaderModel;
+use super::ego_set::{ByMode, EgoSet, SHARED_SYMBOLS};
+use super::window::{FiringWindow, merge_windows};
+use super::{BoxDimension, Undecided, InitialRanges, ReachResult};
+use crate::interval::Interval;
+use crate::work::{OpBudget, WorkLimit};
+
+/// Most windows in which the follower's brake may fire, and most decision intervals of which they are made.
+const MAX_WINDOWS: usize = 300;
+const MAX_INTERVALS: usize = 1000;
+/// Operations for all of a decision but the network, for each symbol of the leader there, for looking at one step, and for each symbol of who
+/// follows by a law in one step.
+const OPS_PER_DECISION: u64 = 50_000;
+const OPS_PER_LEADER_SYMBOL: u64 = 1_000;
+const OPS_PER_STEP: u64 = 10_000;
+const OPS_PER_LAW_SYMBOL: u64 = 3_000;
+/// The places of the accelerations ahead and behind in what is observed.
+const ACCELERATION_AHEAD: usize = 5;
+const ACCELERATION_BEHIND: usize = 7;
+/// Bounds wider than this are given up, in m/s.
+const MAX_RADIUS_MPS: f64 = 40.0;
+
+/// What is driven.
+#[derive(Debug, Clone)]
+pub struct ReachProblem<'a> {
+    /// Who decides.
+    pub controller: &'a NeuralController,
+    /// Where everybody starts.
+    pub ranges: InitialRanges,
+    /// Who drives behind.
+    pub follower: Option<FollowerModel>,
+    /// b of a leader that accelerates at any rate from -b to 0, another one over each step, until it stands, in m/s²; its range of rates and
+    /// its onset then have no meaning. None for one that brakes as these say.
+    pub leader_brakes_at_most_mps2: Option<f64>,
+    /// Largest error of each observed number.
+    pub observation_error: [f64; OBSERVATION_SIZE],
+    /// h, in seconds.
+    pub step_s: f64,
+    /// N, a multiple of `decision_steps`.
+    pub steps: u32,
+    /// D.
+    pub decision_steps: u32,
+    /// Whether to stop as soon as contact cannot be excluded.
+    pub stop_when_undecided: bool,
+}
+
+/// A set of egos at an instant that is a decision's, with what they observe, and the gaps ahead and behind.
+#[derive(Debug, Clone)]
+struct StateSet {
+    members: EgoSet,
+    observation: [AffineForm; OBSERVATION_SIZE],
+    gaps: [AffineForm; 2],
+    /// The accelerations ahead and behind that are observed, one by one, where each is looked at by itself.
+    acceleration_cases: [Vec<AffineForm>; 2],
+}
+
+impl StateSet {
+    /// The same egos, once for each pair of accelerations ahead and behind that they may observe.
+    fn split_cases(&self) -> Vec<Self> {
+        let mut cases = vec![self.clone()];
+        for (accelerations, number) in self.acceleration_cases.iter().zip([ACCELERATION_AHEAD, ACCELERATION_BEHIND]).filter(|(all, _)| all.len() > 1) {
+            let seeing = |acceleration: &AffineForm, case: &Self| {
+                let mut case = case.clone();
+                case.observation[number].clone_from(acceleration);
+                case
+            };
+            cases = cases.iter().flat_map(|case| accelerations.iter().map(move |a| seeing(a, case))).collect();
+        }
+        cases
+    }
+}
+
+/// A box on its way: who leads, where everybody starts, and what is known of the gaps.
+struct ReachAnalysis<'a> {
+    scene: &'a ReachProblem<'a>,
+    budget: &'a OpBudget,
+    step: Interval,
+    leader: LeaderModel,
+    gaps: [AffineForm; 2],
+    result: ReachResult,
+    window_count: usize,
+    /// As far as anybody asks for it, and unless part of it is missing because all members of a set had touched.
+    tube: Option<ReachTube>,
+}
+
+/// For each decision, bounds of the eight numbers that are observed.
+pub type ReachTube = Vec<[Interval; OBSERVATION_SIZE]>;
+
+/// Bounds of what becomes of all members of a box.
+#[must_use]
+pub fn reach(scene: &ReachProblem<'_>) -> ReachResult {
+    reach_with_budget(scene, &OpBudget::new(WorkLimit::UNLIMITED))
+}
+
+/// The same, given up where it takes too much work.
+pub(super) fn reach_with_budget(scene: &ReachProblem<'_>, work: &OpBudget) -> ReachResult {
+    analyze(scene, work, None).0
+}
+
+/// The same, and bounds of all that is observed on the way, the last instant included, unless it was given up or surely
+/// ended in contact.
+#[must_use]
+pub fn reach_with_tube(scene: &ReachProblem<'_>) -> (ReachResult, Option<ReachTube>) {
+    analyze(scene, &OpBudget::new(WorkLimit::UNLIMITED), Some(ReachTube::new()))
+}
+
+fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -> (ReachResult, Option<ReachTube>) {
+    let step = Interval::point(scene.step_s);
+    let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
+    let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
+    let mut drive = ReachAnalysis {
+        scene,
+        budget: work,
+        step,
+        leader: LeaderModel::new(scene, leader, step),
+        gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
+        result: ReachResult::INITIAL,
+        window_count: 0,
+        tube,
+    };
+    let shared = SHARED_SYMBOLS + drive.leader.symbol_count();
+    let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let driven = scene.follower_law().map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
+    let members = EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
+    let mut starts = ByMode::default();
+    let kind = members.mode as usize;
+    starts[kind] = Some(members);
+    let never = f64::from(scene.steps);
+    let latched = scene.latched_ttc_s().map(|_| drive.latched_follower([never, never]));
+    let touches = drive.propagate(0, starts, latched.as_ref(), true);
+    drive.result.surely_collides = touches == Some(true);
+    (drive.result, drive.tube.filter(|_| touches.is_some()))
+}
+
+impl ReachProblem<'_> {
+    /// θ of a follower with a latched emergency brake, in seconds.
+    fn latched_ttc_s(&self) -> Option<f64> {
+        match self.follower {
+            Some(FollowerModel::Latched { ttc_s }) => Some(ttc_s),
+            _ => None,
+        }
+    }
+
+    /// By which law somebody follows.
+    fn follower_law(&self) -> Option<&FollowerLaw> {
+        match &self.follower {
+            Some(FollowerModel::ByLaw(law)) => Some(law),
+            _ => None,
+        }
+    }
+}
+
+impl ReachAnalysis<'_> {
+    /// The follower whose brake fires at an instant of a window.
+    fn latched_follower(&self, [first, last]: [f64; 2]) -> BrakingVehicle {
+        let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension));
+        let window = Interval::new(first, last).unwrap_or(Interval::ENTIRE);
+        let onset = AffineForm::symbol(SHARED_SYMBOLS - 1, window);
+        let mut follower =
+            BrakingVehicle::new(get(BoxDimension::FollowerSpeedMps), get(BoxDimension::FollowerBrakeMps2), onset, window, self.step);
+        // It fires at instants only.
+        follower.onset_step_error_m = Interval::ZERO;
+        follower
+    }
+
+    /// Drives to the end. Whether all members surely touch; none once it was given up.
+    fn propagate(
+        &mut self,
+        mut k: u32,
+        members: ByMode<EgoSet>,
+        follower: Option<&BrakingVehicle>,
+        has_not_fired: bool,
+    ) -> Option<bool> {
+        let every = self.scene.decision_steps;
+        let (mut all_touch, mut windows) = (true, Vec::new());
+        let mut sets: ByMode<StateSet> = members.map(|members| members.map(|members| self.observe(k, members, follower)));
+        while k < self.scene.steps && sets.iter().any(Option::is_some) {
+            let mut next: ByMode<StateSet> = ByMode::default();
+            let (mut window, mut stays) = (FiringWindow::new(k), true);
+            sets.iter().flatten().for_each(|set| self.record_tube(k, &set.observation));
+            for set in sets.iter().flatten().flat_map(StateSet::split_cases) {
+                let course = self.decide(k, &set)?;
+                if let (Some(follower), true) = (follower, has_not_fired)
+                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &course, follower)
+                {
+                    window.record_firing(set.members.mode, instants);
+                    if surely {
+                        continue;
+                    }
+                }
+                stays &= course.is_standing_throughout(set.members.mode);
+                let (driven, behind_m) = self.advance_follower(&set.members, &course).unzip();
+                let members = set.members.clone().with_follower(driven);
+                for members in course.after_decision(&members, self.step, every).into_iter().flatten() {
+                    let now = self.observe(k + every, members, follower);
+                    if self.record_gaps(k, &set.gaps, &now, &course, follower, behind_m) {
+                        self.tube = None;
+                    } else if self.scene.stop_when_undecided && self.result.undecided.is_some() {
+                        return None;
+                    } else {
+                        let place = &mut next[now.members.mode as usize];
+                        *place = Some(match place.take() {
+                            Some(others) => self.observe(k + every, others.members.join(&now.members), follower),
+                            None => now,
+                        });
+                    }
+                }
+            }
+            if window.may_fire() {
+                window.members = sets.each_ref().map(|set| set.as_ref().map(|set| set.members.clone()));
+                windows.push(window);
+                if windows.len() > MAX_INTERVALS {
+                    self.record_undecided(Undecided::TooManySets { step: k }, &self.gaps[1].clone());
+                    return None;
+                }
+            }
+            let goes_on = next.iter().any(Option::is_some);
+            if stays && goes_on && self.are_others_at_rest(k, follower) {
+                for set in sets.iter().flatten() {
+                    (k..=self.scene.steps).step_by(every as usize).for_each(|k| self.record_tube(k, &set.observation));
+                }
+                break;
+            }
+            (k, sets) = (k + every, next);
+        }
+        for set in sets.iter().flatten() {
+            self.record_tube(k, &set.observation);
+            all_touch = false;
+        }
+        Some(self.propagate_fired(windows)? && all_touch)
+    }
+
+    /// Drives those whose follower fires in some windows. Whether all members surely touch; none once it was given up.
+    fn propagate_fired(&mut self, windows: Vec<FiringWindow>) -> Option<bool> {
+        let mut all_touch = true;
+        for window in merge_windows(windows, self.scene) {
+            self.window_count += 1;
+            if self.window_count > MAX_WINDOWS {
+                self.record_undecided(Undecided::TooManySets { step: window.k }, &self.gaps[1].clone());
+                return None;
+            }
+            let follower = self.latched_follower(window.instants);
+            all_touch &= self.propagate(window.k, window.into_firing_sets(), Some(&follower), false)?;
+        }
+        Some(all_touch)
+    }
+
+    /// What a set does until the next decision; none where it is given up.
+    fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<CommandProfile> {
+        let of_leader = OPS_PER_LEADER_SYMBOL * self.leader.symbol_count() as u64;
+        self.budget.charge(OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps));
+        let ReachProblem { controller: actor, observation_error, follower, .. } = self.scene;
+        let wanted = actor.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
+        let wanted = wanted.with_rest_as_symbol(members.next_symbol);
+        if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
+            return Some(match &actor.residual_over {
+                Some(departure) => self.residual_profile(k, members, departure, &wanted),
+                None => CommandProfile::Constant(wanted),
+            });
+        }
+        self.record_undecided(Undecided::TooWide { step: k }, &members.ego.speed);
+        None
+    }
+
+    /// What a set does that departs from a law, as far as an action says.
+    fn residual_profile(&self, k: u32, members: &EgoSet, departure: &ResidualPolicy, action: &AffineForm) -> CommandProfile {
+        let ReachProblem { controller: actor, observation_error, step_s, decision_steps, .. } = self.scene;
+        self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(*decision_steps));
+        let [low, high] = actor.action_bounds_mps2;
+        if !departure.is_complete_in_one_step(*step_s) {
+            let any = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
+            return CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |_, _| AffineForm::constant(any));
+        }
+        let departs = Residual::new(departure, action, actor.action_bounds_mps2);
+        let errors = law_input_errors(observation_error);
+        CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |j, ego| {
+            let leader = self.leader.state_at(k + j, self.step);
+            let gap = self.gaps[0].clone().plus(&leader.distance).minus(&ego.distance);
+            let seen = [gap, ego.speed.clone(), ego.speed.clone().minus(&leader.speed)];
+            departure.acceleration(&departs, &LawInput::with_errors(seen, errors))
+        })
+    }
+
+    fn are_others_at_rest(&self, k: u32, follower: Option<&BrakingVehicle>) -> bool {
+        // Who follows by a law may creep for ever.
+        let has_stood = follower.is_none_or(|follower| follower.has_stood(k, self.step)) && self.scene.follower_law().is_none();
+        has_stood && self.leader.has_stood(k, self.step)
+    }
+
+    fn record_tube(&mut self, k: u32, seen: &[AffineForm; OBSERVATION_SIZE]) {
+        let Some(tube) = &mut self.tube else { return };
+        let (decision, ranges) = ((k / self.scene.decision_steps) as usize, seen.each_ref().map(AffineForm::range));
+        match tube.get_mut(decision) {
+            Some(known) => *known = std::array::from_fn(|i| known[i].hull(ranges[i])),
+            None => tube.push(ranges),
+        }
+    }
+
+    /// Egos at instant k with what they observe, and the gaps.
+    fn observe(&self, k: u32, members: EgoSet, follower: Option<&BrakingVehicle>) -> StateSet {
+        let leader = self.leader.state_at(k, self.step);
+        let ego = members.ego.clone();
+        let [ahead, behind] = &self.gaps;
+        let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
+        let of_follower = follower.map_or_else(Vec::new, |follower| follower.possible_accelerations(k, self.step));
+        let follower = members.follower.clone().or_else(|| Some(follower?.state_at(k, self.step)));
+        let (behind, follower) = match follower {
+            Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
+            None => {
+                let nobody = VehicleState { acceleration: AffineForm::default(), ..ego.clone() };
+                (AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)), nobody)
+            }
+        };
+        let gaps = [ahead.clone(), behind.clone()];
+        let apart = match self.scene.controller.residual_over {
+            Some(_) => [self.leader.possible_accelerations(k, self.step), of_follower],
+            None => [Vec::new(), Vec::new()],
+        };
+        let (speeds, accelerations) =
+            ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
+        let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
+        StateSet { members, observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps, acceleration_cases: apart }
+    }
+
+    /// The instants of a decision interval at which the brake of a follower that has not fired may fire, if there are any, and
+    /// whether it surely does.
+    fn firing_instants(&self, k: u32, members: &EgoSet, course: &CommandProfile, follower: &BrakingVehicle) -> Option<([f64; 2], bool)> {
+        let theta = Interval::point(self.scene.latched_ttc_s()?);
+        let mut first = None;
+        for j in 0..self.scene.decision_steps {
+            let ego = course.ego_after(members, self.step, j);
+            let mut guard = self.gaps[1].clone().plus(&ego.distance);
+            guard.add_scaled(&ego.speed, theta);
+            guard.add_scaled(&follower.speed, -(theta + Interval::point(f64::from(k + j)) * self.step));
+            let (guard, instant) = (guard.range(), f64::from(k + j));
+            if guard.low() < 0.0 {
+                let first = *first.get_or_insert(instant);
+                if guard.high() < 0.0 {
+                    return Some(([first, instant], true));
+                }
+            }
+        }
+        let last = f64::from(k + self.scene.decision_steps - 1);
+        first.map(|first| ([first, last], false))
+    }
+
+    /// Who follows by a law, at the next decision, and a bound of the gap until then, in metres.
+    fn advance_follower(&self, members: &EgoSet, course: &CommandProfile) -> Option<(VehicleState, f64)> {
+        let start = members.follower.as_ref()?;
+        self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps));
+        let behind = LawFollower::new(self.scene.follower_law()?, &self.scene.ranges, &self.gaps[1], self.step);
+        let eighth = self.step.sqr() * Interval::point(0.125);
+        let ahead = course.accelerations_mps2().max(Interval::ZERO);
+        let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
+        for j in 1..=self.scene.decision_steps {
+            let ego_later = course.ego_after(members, self.step, j);
+            let (later, acceleration) = behind.advance(&own, &ego);
+            // As in `compare`, over one step.
+            let m = ahead + (-acceleration.range()).max(Interval::ZERO);
+            let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
+            least_m = least_m.min((ends - m * eighth).low());
+            (own, ego) = (later, ego_later);
+        }
+        Some((own, least_m))
+    }
+
+    /// Takes note of the gaps over a decision interval, the one to who follows by a law among them; whether all members surely touch.
+    fn record_gaps(
+        &mut self,
+        k: u32,
+        before: &[AffineForm; 2],
+        now: &StateSet,
+        course: &CommandProfile,
+        follower: Option<&BrakingVehicle>,
+        driven_m: Option<f64>,
+    ) -> bool {
+        let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
+        let eighth = interval.sqr() * Interval::point(0.125);
+        let acts_mps2 = course.accelerations_mps2();
+        let braking = (-acts_mps2).max(Interval::ZERO);
+        let least_m = |pair: usize, m: Interval| {
+            let least = before[pair].range().min(now.gaps[pair].range());
+            (least - m * eighth).low()
+        };
+        // Nobody is behind the ego, or somebody who brakes at most as hard as stated.
+        let moves = course.is_moving_throughout(&now.members.ego.speed);
+        let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
+        // Nobody reverses: the gap to a follower that stands never falls.
+        let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
+        let latched_m = latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
+        let mut touches = false;
+        for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)].into_iter().flatten().enumerate() {
+            self.result.gaps_m[pair] = self.result.gaps_m[pair].min(gap_m);
+            if gap_m <= 0.0 {
+                self.record_undecided(Undecided::MayCollide { pair, step: k, gap_m }, &now.gaps[pair]);
+            }
+            touches |= now.gaps[pair].range().high() < 0.0;
+        }
+        touches
+    }
+
+    /// Takes note of the first doubt, and of how much each dimension has to do with it.
+    fn record_undecided(&mut self, doubt: Undecided, about: &AffineForm) {
+        if self.result.undecided.is_none() {
+            self.result.undecided = Some(doubt);
+            let terms = about.terms();
+            self.result.sensitivity = std::array::from_fn(|i| terms.get(i).copied().unwrap_or(0.0).abs());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,273 @@
+//! The file of a network: eight bytes that say how long the header is, a header in JSON, and then little-endian numbers.
+//!
+//! The header lists tensors by name with their type, shape and place, and holds in its metadata a JSON text that says what the
+//! network sees and what is done with the answer: that of one of crumple's [own policies](super::policy_file), or of a
+//! [network from outside](super::network_file). What the simulator refuses is refused here too, or a certificate would
+//! speak of what nobody can drive with: other versions, unknown fields, names that occur twice, tensors that are missing, superfluous,
+//! overlapping or not of the described shape, bytes that belong to none, numbers that are not finite.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Deserialize;
+use serde::de::{Deserializer, Error, MapAccess, Visitor};
+
+use super::controller::{NeuralController, NetworkLayer};
+use super::{network_file, policy_file};
+
+/// Widest layer that is read, and most numbers between the layers of a network: bounds on rounding rely on them.
+pub(super) const MAX_LAYER_WIDTH: usize = 4096;
+pub(super) const MAX_NUMBERS: usize = 8192;
+/// Longest header, in bytes: what is read of it takes some twenty times as many.
+const MAX_HEADER_BYTES: usize = 1 << 20;
+
+/// The header of the file.
+struct SafetensorsHeader {
+    description: Metadata,
+    tensors: BTreeMap<String, TensorInfo>,
+}
+
+/// Where a tensor is.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TensorInfo {
+    dtype: String,
+    shape: Vec<usize>,
+    data_offsets: [usize; 2],
+}
+
+/// One of the two is there.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Metadata {
+    crumple_policy: Option<String>,
+    crumple_network: Option<String>,
+}
+
+/// The tensors of a file that nobody has asked for yet.
+pub(super) struct SafetensorsFile<'a> {
+    tensors: BTreeMap<String, TensorInfo>,
+    data: &'a [u8],
+}
+
+impl<'de> Deserialize<'de> for SafetensorsHeader {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_map(SafetensorsHeaderVisitor)
+    }
+}
+
+struct SafetensorsHeaderVisitor;
+
+impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
+    type Value = SafetensorsHeader;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("tensors by name, and `__metadata__`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<SafetensorsHeader, A::Error> {
+        let (mut description, mut tensors) = (None, BTreeMap::new());
+        let twice = |name: &str| A::Error::custom(format_args!("duplicate key {name:?}"));
+        while let Some(name) = entries.next_key::<String>()? {
+            if name == "__metadata__" {
+                if description.replace(entries.next_value::<Metadata>()?).is_some() {
+                    return Err(twice(&name));
+                }
+            } else if tensors.insert(name.clone(), entries.next_value::<TensorInfo>()?).is_some() {
+                return Err(twice(&name));
+            }
+        }
+        let description = description.ok_or_else(|| A::Error::custom("describes no network"))?;
+        Ok(SafetensorsHeader { description, tensors })
+    }
+}
+
+impl SafetensorsFile<'_> {
+    /// Whether tensors lie one after the other, without a gap, and up to the end.
+    fn check_offsets(&self) -> Result<(), String> {
+        let mut places: Vec<[usize; 2]> = self.tensors.values().map(|entry| entry.data_offsets).collect();
+        places.sort_unstable();
+        let end = places.iter().try_fold(0, |end, &[from, to]| (from == end && to >= from).then_some(to));
+        let is_whole = end == Some(self.data.len());
+        if is_whole { Ok(()) } else { Err("has tensors that overlap, or bytes that belong to none".to_owned()) }
+    }
+
+    /// The numbers of a tensor of single-precision numbers, all finite; nobody gets them again.
+    pub(super) fn take_tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
+        let entry = self.tensors.remove(name).ok_or_else(|| format!("has no tensor {name}"))?;
+        let [from, to] = entry.data_offsets;
+        let numbers = self.data.get(from..to).filter(|_| entry.dtype == "F32" && entry.shape == shape);
+        let length = shape.iter().try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
+        let numbers = numbers.filter(|bytes| Some(bytes.len()) == length);
+        let (numbers, _) = numbers.ok_or_else(|| format!("tensor {name} is not what it should be"))?.as_chunks::<4>();
+        let numbers: Vec<f64> = numbers.iter().map(|&bytes| f32::from_le_bytes(bytes).into()).collect();
+        if numbers.iter().all(|value| value.is_finite()) {
+            Ok(numbers)
+        } else {
+            Err(format!("tensor {name} is not finite"))
+        }
+    }
+}
+
+impl NeuralController {
+    /// Reads the file of a policy or of a network.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let (length, rest) = bytes.split_first_chunk::<8>().ok_or("is too short")?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
+        let (listing, data) = rest.split_at_checked(length).ok_or("is shorter than it says")?;
+        if length > MAX_HEADER_BYTES {
+            return Err("has too long a header".to_owned());
+        }
+        let SafetensorsHeader { description, tensors } =
+            serde_json::from_slice(listing).map_err(|error| format!("header: {error}"))?;
+        let mut file = SafetensorsFile { tensors, data };
+        file.check_offsets()?;
+        let actor = match (description.crumple_policy, description.crumple_network) {
+            (Some(text), None) => policy_file::read(&text, &mut file)?,
+            (None, Some(text)) => network_file::read(&text, &mut file)?,
+            _ => return Err("describes no network, or two".to_owned()),
+        };
+        if let Some(name) = file.tensors.keys().next() {
+            return Err(format!("tensor {name:?} is not part of the network that is described"));
+        }
+        match actor.max_output_magnitude() {
+            Ok(_) => Ok(actor),
+            Err(layer) => Err(format!("can leave single precision in layer {layer}")),
+        }
+    }
+
+    /// A bound of the answer's size; or else the first layer in which a number could leave single precision, by the bound |h W + b| <=
+    /// |h| |W| + |b|, which holds for every partial sum too. Everything that is said of the network's rounding is said of sums
+    /// that do not.
+    pub(super) fn max_output_magnitude(&self) -> Result<f64, usize> {
+        // Half of the range is left for rounding.
+        let highest = 0.5 * f64::from(f32::MAX);
+        let fits = |bounds: &[f64]| bounds.iter().all(|&bound| bound <= highest);
+        let mut bounds: Vec<f64> = self.inputs.iter().map(|input| input.low.abs().max(input.high.abs())).collect();
+        let mut layers = 0;
+        if !fits(&bounds) {
+            return Err(layers);
+        }
+        for step in &self.layers {
+            match step {
+                NetworkLayer::Linear(layer) => {
+                    let mut sums: Vec<f64> = layer.biases.iter().map(|bias| bias.abs()).collect();
+                    for (bound, row) in bounds.iter().zip(layer.weights.chunks_exact(layer.outputs.max(1))) {
+                        sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += bound * weight.abs());
+                    }
+                    bounds = sums;
+                    layers += 1;
+                }
+                NetworkLayer::Activation(each) => {
+                    bounds.iter_mut().enumerate().for_each(|(number, bound)| *bound = each.max_magnitude(number, *bound));
+                }
+            }
+            if !fits(&bounds) {
+                return Err(layers.saturating_sub(1));
+            }
+        }
+        bounds.get(self.output_index).copied().ok_or(layers)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reach::{Each, Input, Layer, OBSERVED};
+
+    /// A network of two numbers, of a size up to 2 and 3.
+    fn two_input_controller(steps: Vec<Step>, answer: usize) -> Actor {
+        let input =
+            |low, high| Input { of: [0.0; OBSERVED], constant: 0.0, absent: None, offset: 0.0, scale: 1.0, low, high };
+        Actor {
+            inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
+            steps,
+            answer,
+            scale_mps2: 1.0,
+            offset_mps2: 0.0,
+            action_mps2: [-1.0, 1.0],
+            is_cut: true,
+            departs_from: None,
+            empty_gap_m: 80.0,
+            decision_interval_s: 0.1,
+            source: None,
+        }
+    }
+
+    fn layer(weights: [f64; 4], biases: [f64; 2]) -> Step {
+        Step::Linear(Layer { inputs: 2, outputs: 2, weights: weights.to_vec(), biases: biases.to_vec() })
+    }
+
+    #[test]
+    fn the_largest_answer_is_a_sum_of_sizes() {
+        let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
+        for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
+            assert_eq!(of_two(vec![plain.clone()], answer).max_output_magnitude(), Ok(expected));
+            assert_eq!(of_two(vec![plain.clone(), Step::Each(Each::Tanh)], answer).max_output_magnitude(), Ok(1.0));
+        }
+        assert_eq!([0, 1].map(|answer| of_two(vec![], answer).max_output_magnitude()), [Ok(2.0), Ok(3.0)]);
+        assert_eq!(of_two(vec![plain], 2).max_output_magnitude(), Err(1), "there is none");
+    }
+
+    /// Half of the range of single precision, and no more; the layer that may leave it is named from 0.
+    #[test]
+    fn the_layer_that_may_leave_single_precision_is_named() {
+        let half = 0.5 * f64::from(f32::MAX);
+        let calm = layer([1.0, 0.0, 0.0, 1.0], [0.0, 0.0]);
+        let wild = |number: f64| layer([0.25 * number, 0.0, 0.0, 0.0], [0.5 * number, 0.0]);
+        assert_eq!(of_two(vec![wild(half)], 0).max_output_magnitude(), Ok(half));
+        assert_eq!(of_two(vec![wild(half.next_up())], 0).max_output_magnitude(), Err(0));
+        assert_eq!(of_two(vec![calm.clone(), wild(half)], 0).max_output_magnitude(), Ok(half));
+        assert_eq!(of_two(vec![calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(1));
+        assert_eq!(of_two(vec![calm.clone(), calm.clone(), wild(half.next_up())], 0).max_output_magnitude(), Err(2));
+        let multiplied = Step::Each(Each::Multiply(vec![half, 0.0]));
+        assert_eq!(of_two(vec![calm.clone(), calm, multiplied], 0).max_output_magnitude(), Err(1), "behind it");
+        let mut far = of_two(vec![], 0);
+        far.inputs[1].low = -half;
+        assert_eq!(far.max_output_magnitude(), Ok(2.0));
+        far.inputs[1].low = -half.next_up();
+        assert_eq!(far.max_output_magnitude(), Err(0));
+    }
+
+    /// Numbers of single precision in the order that was asked for, all finite, and each but once.
+    #[test]
+    fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
+        let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
+            let data: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+            let entry = TensorInfo { dtype: dtype.to_owned(), shape: shape.to_vec(), data_offsets: place };
+            let mut file = SafetensorsFile { tensors: [("w".to_owned(), entry)].into(), data: &data };
+            let read = file.tensor("w", &[2, 3]);
+            assert_eq!(file.tensor("w", &[2, 3]), Err("has no tensor w".to_owned()), "a second time");
+            read
+        };
+        let (numbers, all) = ([1.0, -2.0, 0.5, 3.0, 0.25, f32::MAX], [0, 24]);
+        assert_eq!(of("F32", &[2, 3], all, numbers), Ok(numbers.map(f64::from).to_vec()));
+        for (dtype, shape, place) in [
+            ("I32", &[2, 3][..], all),
+            ("f32", &[2, 3], all),
+            ("F32", &[3, 2], all),
+            ("F32", &[6], all),
+            ("F32", &[2, 3], [0, 20]),
+            ("F32", &[2, 3], [4, 28]),
+            ("F32", &[2, 3], [0, 0]),
+        ] {
+            let wrong = Err("tensor w is not what it should be".to_owned());
+            assert_eq!(of(dtype, shape, place, numbers), wrong, "{dtype} {shape:?} {place:?}");
+        }
+        for number in [f32::NAN, f32::INFINITY] {
+            let endless = of("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
+            assert_eq!(endless, Err("tensor w is not finite".to_owned()));
+        }
+    }
+
+    #[test]
+    fn what_lists_no_tensors_is_told_what_was_expected() {
+        let file = [&2_u64.to_le_bytes()[..], b"[]"].concat();
+        let error = Actor::from_bytes(&file).unwrap_err();
+        let expected = "header: invalid type: sequence, expected tensors by name, and `__metadata__`";
+        assert!(error.starts_with(expected), "{error}");
+    }
+}

@@ -1,0 +1,117 @@
+//! What is claimed of a follower that drives by a law is true of each member.
+
+use crumple_verify::reach::{AccAeb, Actor, Follower, Idm, Law, Ranges, Scene, reach, reach_with_tube};
+use proptest::prelude::*;
+
+use crate::reach::{any_ranges, any_unit, attacked, is_bounded, member, paper, reference, scene};
+use crate::support::closed_loop::simulate;
+use crate::support::networks::{any_network, network};
+
+/// As crumple's own, at the wheel of the paper's car.
+pub const IDM: Law = Law::Idm(Idm {
+    desired_speed_mps: 120.0 / 3.6,
+    time_headway_s: 1.6,
+    standstill_gap_m: 2.0,
+    accel_mps2: 0.73,
+    comfortable_brake_mps2: 1.67,
+    max_accel_mps2: 3.0,
+});
+pub const ACC_AEB: Law = Law::AccAeb(AccAeb {
+    ttc_s: 1.4,
+    time_headway_s: 0.8,
+    standstill_gap_m: 2.0,
+    gap_gain_per_s2: 0.25,
+    speed_gain_per_s: 0.8,
+    comfort_brake_mps2: 3.5,
+    comfort_accel_mps2: 2.0,
+    max_accel_mps2: 3.0,
+});
+
+/// Laws with other numbers, some of them 0 where they may be.
+pub fn any_law() -> impl Strategy<Value = Law> {
+    let rate = || prop_oneof![4 => 0.1..4.0_f64, 1 => 4.0..30.0_f64];
+    let idm = (5.0..45.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, rate(), rate(), 0.0..3.0_f64);
+    let idm = idm.prop_map(
+        |(desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, max_accel_mps2)| {
+            Law::Idm(Idm {
+                desired_speed_mps,
+                time_headway_s,
+                standstill_gap_m,
+                accel_mps2,
+                comfortable_brake_mps2,
+                max_accel_mps2,
+            })
+        },
+    );
+    let number = |most: f64| prop_oneof![1 => Just(0.0), 6 => 0.0..most, 1 => most..5.0 * most];
+    let acc = [4.0, 3.0, 5.0, 1.0, 2.0, 5.0, 3.0, 3.0].map(number);
+    let acc = acc.prop_map(
+        |[
+            ttc_s,
+            time_headway_s,
+            standstill_gap_m,
+            gap_gain_per_s2,
+            speed_gain_per_s,
+            comfort_brake_mps2,
+            comfort_accel_mps2,
+            max_accel_mps2,
+        ]| {
+            Law::AccAeb(AccAeb {
+                ttc_s,
+                time_headway_s,
+                standstill_gap_m,
+                gap_gain_per_s2,
+                speed_gain_per_s,
+                comfort_brake_mps2,
+                comfort_accel_mps2,
+                max_accel_mps2,
+            })
+        },
+    );
+    prop_oneof![Just(IDM), Just(ACC_AEB), idm, acc]
+}
+
+fn with_law_follower<'a>(actor: &'a Actor, ranges: Ranges, law: Law) -> Scene<'a> {
+    Scene { follower: Some(Follower::Driven(law)), ..scene(actor, ranges) }
+}
+
+proptest! {
+    #![proptest_config(crumple_cases::cases(300))]
+
+    /// Whatever a network does and whoever follows, through stops, brakes that fire and let go, and contacts: every number that is observed
+    /// is inside the bounds at every decision, and no gap is ever below its bound.
+    #[test]
+    fn bounds_hold_whoever_follows(
+        ranges in any_ranges(), law in any_law(), seed: u64, gain in prop::option::of(0.2..1.2_f64),
+        places in prop::collection::vec(any_unit(), 12), every in prop::sample::select(vec![1_u32, 2, 5, 10]),
+        // Stops within a step, and a brake that lets go, matter in long steps.
+        step_s in prop::sample::select(vec![0.01, 0.01, 0.1, 0.5]),
+    ) {
+        let actor = gain.map_or_else(|| any_network(seed), |gain| network(&[12, 9], gain, seed));
+        let whole = followed(&actor, ranges, law);
+        let scene = Scene { stop_at_doubt: false, steps: if step_s < 0.1 { 400 } else { 100 }, step_s, decision_steps: every, ..whole };
+        let bounded = reach_with_tube(&scene);
+        for place in places {
+            let start = member(&ranges, place);
+            is_bounded(&scene, &bounded, simulate(&scene, start), &(start, law))?;
+        }
+    }
+}
+
+/// A box around scenario 1 with a follower that drives idm: bounds that are not idle. And one that drives acc-aeb with a longer headway and no emergency
+/// brake; where that may fire nobody knows at which steps it does.
+#[test]
+fn verified_boxes_survive_search() {
+    let actor = Actor::from_bytes(&reference()).unwrap();
+    let Law::AccAeb(acc_aeb) = ACC_AEB else { panic!() };
+    let acc = Law::AccAeb(AccAeb { ttc_s: 0.0, time_headway_s: 1.6, ..acc_aeb });
+    for (law, least_m) in [(IDM, 1.8), (acc, 0.0)] {
+        let scene = followed(&actor, paper(0.1, 0.02), law);
+        let reached = reach(&scene);
+        let found_m = attacked(&scene, 3000, 300, 9);
+        let proved_m = reached.gaps_m[0].min(reached.gaps_m[1]);
+        println!("proved {proved_m:.3} m, found {found_m:.3} m {reached:?}");
+        assert_eq!(reached.doubt, None);
+        assert!(found_m >= proved_m && proved_m > least_m, "{found_m} {reached:?}");
+    }
+}
