@@ -81,7 +81,7 @@ pub use certificate::{
     Assumption, AvoidableClaim, Branch, Certificate, GapBoundClaim, CertificateParseError, CertificateProvenance, MultiplierRows, Statement, UnavoidableClaim,
 };
 pub use claim::{SceneEgo, SceneFollower, ConstantPiece, SceneLeader, Scene};
-pub use acc_benchmark::CruiseClaim;
+pub use cruise::CruiseClaim;
 pub use interval::Interval;
 pub use kernel::KernelClaim;
 pub use rate::{ComparisonClaim, RateClaim, Registration};

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::path::Path;
 use std::process::ExitCode;
 
-use crumple_verify::{Certificate, ParseError, WorkLimit, check_with};
+use crumple_verify::{Certificate, CertificateParseError, WorkLimit, check_with};
 
 fn main() -> ExitCode {
     let mut words = std::env::args_os().skip(1).peekable();
@@ -19,11 +19,11 @@ fn main() -> ExitCode {
         if option == "--policy" {
             policy = value;
         } else {
-            limit = value.and_then(|value| value.to_str()?.parse().ok()).map(WorkLimit::billions);
+            limit = value.and_then(|value| value.to_str()?.parse().ok()).map(WorkLimit::from_billions);
         }
     }
     let (policy, paths) = (policy.as_ref().map(Path::new), words);
-    let worst = limit.and_then(|limit| paths.map(|path| judge(Path::new(&path), policy, limit)).max());
+    let worst = limit.and_then(|limit| paths.map(|path| check_file(Path::new(&path), policy, limit)).max());
     ExitCode::from(worst.unwrap_or_else(|| {
         eprintln!("usage: crumple-verify [--policy FILE] [--work-limit N] FILE...");
         2
@@ -32,14 +32,14 @@ fn main() -> ExitCode {
 
 fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     let name = path.display();
-    let certificate = match File::open(path).map_err(ParseError::from).and_then(Certificate::from_reader) {
+    let certificate = match File::open(path).map_err(CertificateParseError::from).and_then(Certificate::from_reader) {
         Ok(certificate) => certificate,
         Err(error) => {
             eprintln!("{name}: {error}");
             return 2;
         }
     };
-    match check_with(&certificate, certificate.policy_bytes(path, policy).as_deref(), limit) {
+    match check_with(&certificate, certificate.read_policy(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
             println!("  {}", certificate.scope_with_result(&accepted).to_string().replace('\n', "\n  "));

@@ -135,7 +135,7 @@ pub enum InvalidSetting {
         /// The controller.
         controller: &'static str,
         /// Its settings.
-        known: &'static [Field],
+        known: &'static [SettingField],
     },
     /// A setting that is given twice.
     #[error("{controller}: {name} is given twice")]
@@ -159,12 +159,12 @@ pub enum InvalidSetting {
     },
 }
 
-fn describe_known_settings(known: &[Field]) -> String {
+fn describe_known_settings(known: &[SettingField]) -> String {
     match known {
         [] => "it has none".to_owned(),
         [first, ..] => {
             let names: Vec<_> = known.iter().map(|field| field.name).collect();
-            format!("there are {}, each with a number, as in `{}={}`", names.join(", "), first.name, first.usual[1])
+            format!("there are {}, each with a number, as in `{}={}`", names.join(", "), first.name, first.typical_range[1])
         }
     }
 }
@@ -245,12 +245,12 @@ impl ControllerSpec {
 
     /// What its settings are, in the order in which files state them.
     #[must_use]
-    pub fn fields(&self) -> &'static [Field] {
+    pub fn fields(&self) -> &'static [SettingField] {
         of_row!(self, |Row, _settings| <Row as BuiltIn>::Settings::FIELDS)
     }
 
     /// Its settings with their values.
-    pub fn values(&self) -> impl Iterator<Item = (&'static Field, f64)> {
+    pub fn values(&self) -> impl Iterator<Item = (&'static SettingField, f64)> {
         (0..).zip(self.fields()).filter_map(|(index, field)| Some((field, self.get(index)?)))
     }
 

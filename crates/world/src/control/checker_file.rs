@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::mapping::{InputMapping, OutputMapping, Squash};
 use super::{InvalidMapping, NetworkController, ObservedQuantity};
-use crate::network::{Elementwise, NetworkFormat, Linear, Step};
+use crate::network::{Elementwise, NetworkFormat, Linear, NetworkStep};
 use crate::policy::ObservationScaling;
 
 /// The one metadata key.
@@ -83,7 +83,7 @@ impl NetworkController {
         let mut width = self.network().inputs();
         for (index, step) in self.network().steps().iter().enumerate() {
             steps.push(serialize_step(step, index, width, &mut tensors));
-            if let Step::Linear(Linear { biases, .. }) = step {
+            if let NetworkStep::Linear(Linear { biases, .. }) = step {
                 width = biases.len();
             }
         }
@@ -123,18 +123,18 @@ fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
 }
 
 /// A step as it is written, its numbers into `tensors`.
-fn serialize_step(step: &Step, index: usize, width: usize, tensors: &mut Vec<NamedTensor>) -> CheckerFileStep {
+fn serialize_step(step: &NetworkStep, index: usize, width: usize, tensors: &mut Vec<NamedTensor>) -> CheckerFileStep {
     let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
         let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         tensors.push((format!("steps.{index}.{name}"), shape.to_vec(), bytes));
     };
     let each = match step {
-        Step::Linear(Linear { weights, biases }) => {
+        NetworkStep::Linear(Linear { weights, biases }) => {
             add("weight", &[width, biases.len()], weights);
             add("bias", &[biases.len()], biases);
             return CheckerFileStep::Linear(biases.len());
         }
-        Step::Each(each) => each,
+        NetworkStep::Elementwise(each) => each,
     };
     match each {
         Elementwise::Relu => CheckerFileStep::Relu,

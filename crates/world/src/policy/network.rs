@@ -135,7 +135,7 @@ enum PackedStep {
     /// A product with a matrix, its negative elements turned into 0 if `rectified`.
     Matrix { panels: PackedPanels, outputs: usize, rectified: bool },
     /// A product with a vector.
-    Generator { weights: Vec<f32>, bias: f32 },
+    Vector { weights: Vec<f32>, bias: f32 },
     /// Something done to each number of rows of this width.
     Elementwise(Elementwise, usize),
 }

@@ -12,7 +12,7 @@ pub(crate) mod protocol;
 mod unix;
 
 #[cfg(not(all(unix, feature = "process")))]
-pub(crate) use unsupported::Program;
+pub(crate) use unsupported::ChildProcess;
 pub(crate) use problem::escaped_excerpt;
 pub use problem::{ProcessFailure, ProcessProblem};
 #[cfg(all(unix, feature = "process"))]

@@ -160,7 +160,7 @@ impl ChildProcess {
         let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.timeout_problem(within)) };
         // What does not count is the output once more.
         let input = match &self.stdin {
-            Some(input) if wants_to_write => PollFd::new(input, PollFlags::DEFAULT_OUT),
+            Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
             _ => PollFd::new(&self.stdout, PollFlags::IN),
         };
         let error = match &self.stderr {

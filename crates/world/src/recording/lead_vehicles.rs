@@ -52,7 +52,7 @@ impl PlatoonLead<'_> {
 
 impl LeadVehicle for PlatoonLead<'_> {
     fn segments(&self) -> Vec<Vec<SpeedSample>> {
-        segments(self.platoon, self.index)
+        platoon_segments(self.platoon, self.index)
     }
 
     fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle {

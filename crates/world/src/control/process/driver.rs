@@ -181,7 +181,7 @@ impl BatchQuery for ProcessDriver {
 
     /// If the second process gives the same.
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
-        if let Some(mut second) = self.second_process.set_command() {
+        if let Some(mut second) = self.second_process.take() {
             match self.ask(&mut second) {
                 Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => self.second_process = Some(second),
                 Ok(second_mps2) => {

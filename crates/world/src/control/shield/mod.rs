@@ -50,7 +50,7 @@ pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
 
 use std::collections::VecDeque;
 
-use super::{AnyController, Controller, ControllerFailure, within};
+use super::{AnyController, Controller, ControllerFailure, clamp_command};
 use crate::observation::Observation;
 
 /// Successive steps in which a shield braked instead of doing what its controller wanted, or in which the state was outside the kernel,
@@ -132,7 +132,7 @@ impl ShieldedController {
 
 impl Controller for ShieldedController {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let wanted_mps2 = within(self.controller.decide(seen)?, self.params.brake_mps2, self.params.accel_mps2);
+        let wanted_mps2 = clamp_command(self.controller.decide(seen)?, self.params.brake_mps2, self.params.accel_mps2);
         let mut command_mps2 = wanted_mps2;
         if let Some(state) = self.worst_state(seen)
             && !self.params.admits(state, wanted_mps2)

@@ -87,6 +87,6 @@ impl<R: Real> ShieldParams<R> {
     #[must_use]
     #[inline]
     pub fn lag_s(&self) -> R {
-        self.step_s * (R::bounds(1.0) - self.response_fraction) / self.response_fraction
+        self.step_s * (R::from_f64(1.0) - self.response_fraction) / self.response_fraction
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::rc::Rc;
 
-use super::super::{Elementwise, FeedForward, Linear, MAX_PARAMETERS, MAX_STEPS, NetworkError, Step, MAX_LAYER_WIDTH};
+use super::super::{Elementwise, FeedForward, Linear, MAX_PARAMETERS, MAX_STEPS, NetworkError, NetworkStep, MAX_LAYER_WIDTH};
 use super::constants::{constant_of_node, float_attribute, integer_attribute, matrix_shape, to_input_rows, broadcast};
 use super::model::{OnnxModel, OnnxNode, TensorData, OnnxTensor, is_default_domain};
 
@@ -53,7 +53,7 @@ struct Chain {
     shape: Vec<usize>,
     /// Weights and biases so far.
     parameters: usize,
-    steps: Vec<Step>,
+    steps: Vec<NetworkStep>,
 }
 
 /// Why a matrix may not fit the numbers there are: what exporters make of an axis that has no fixed length, or of a batch.
@@ -108,11 +108,11 @@ impl Chain {
             "Sub" => self.subtract(&node)?,
             "Mul" => {
                 let factors = self.broadcast_operand(&node)?;
-                self.steps.push(Step::Each(Elementwise::Multiply(factors)));
+                self.steps.push(NetworkStep::Elementwise(Elementwise::Multiply(factors)));
             }
             "Div" if node.inputs.first() == Some(&self.current) => {
                 let divisors = self.broadcast_operand(&node)?;
-                self.steps.push(Step::Each(Elementwise::Divide(divisors)));
+                self.steps.push(NetworkStep::Elementwise(Elementwise::Divide(divisors)));
             }
             "Relu" => self.push_elementwise(Elementwise::Relu),
             "LeakyRelu" => self.push_elementwise(Elementwise::LeakyRelu { slope: float_attribute(&node, "alpha", 0.01) }),
@@ -137,7 +137,7 @@ impl Chain {
     }
 
     fn push_elementwise(&mut self, what: Elementwise) {
-        self.steps.push(Step::Each(what));
+        self.steps.push(NetworkStep::Elementwise(what));
     }
 
     /// The constant at one of the node's inputs.
@@ -181,7 +181,7 @@ impl Chain {
 
     /// A product with rows of the present numbers.
     fn push_linear(&mut self, weights: Vec<f32>, biases: Vec<f32>, shape: Vec<usize>) {
-        self.steps.push(Step::Linear(Linear { weights, biases }));
+        self.steps.push(NetworkStep::Linear(Linear { weights, biases }));
         self.shape = shape;
     }
 
@@ -289,8 +289,8 @@ impl Chain {
     fn add(&mut self, node: &OnnxNode, sign: f32) -> Result<(), String> {
         let operands: Vec<f32> = self.broadcast_operand(node)?.into_iter().map(|number| sign * number).collect();
         match self.steps.last_mut() {
-            Some(Step::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => *biases = operands,
-            _ => self.steps.push(Step::Each(Elementwise::Add(operands))),
+            Some(NetworkStep::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => *biases = operands,
+            _ => self.steps.push(NetworkStep::Elementwise(Elementwise::Add(operands))),
         }
         Ok(())
     }
@@ -300,8 +300,8 @@ impl Chain {
             return self.add(node, -1.0);
         }
         let operands = self.broadcast_operand(node)?;
-        self.steps.push(Step::Each(Elementwise::Multiply(vec![-1.0; operands.len()])));
-        self.steps.push(Step::Each(Elementwise::Add(operands)));
+        self.steps.push(NetworkStep::Elementwise(Elementwise::Multiply(vec![-1.0; operands.len()])));
+        self.steps.push(NetworkStep::Elementwise(Elementwise::Add(operands)));
         Ok(())
     }
 

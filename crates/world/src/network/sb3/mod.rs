@@ -21,7 +21,7 @@ pub use space::BoxSpace;
 use super::archive::Archive;
 use super::error::sanitized;
 use super::pickle::Pickle;
-use super::{Elementwise, FeedForward, NetworkError, Step};
+use super::{Elementwise, FeedForward, NetworkError, NetworkStep};
 use weights::Weights;
 
 /// Longest description of a model, in bytes.
@@ -90,7 +90,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(FeedForward, SavedModel), NetworkErr
     let actions = space::read_box(&data.action_space, "action_space")?;
     let weights = Weights::read(archive.member("policy.pth")?)?;
     let mut steps = actor.steps(&weights, &data)?;
-    if let Some(Step::Linear(last)) = steps.iter().rev().find(|step| matches!(step, Step::Linear(_)))
+    if let Some(NetworkStep::Linear(last)) = steps.iter().rev().find(|step| matches!(step, NetworkStep::Linear(_)))
         && last.biases.len() != actions.low.len()
     {
         let problem = format!("its actor has {} answers for {} actions", last.biases.len(), actions.low.len());
@@ -129,7 +129,7 @@ impl ActorKind {
     }
 
     /// From the observation to the answer, before it is brought into the space of actions.
-    fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<Step>, NetworkError> {
+    fn steps(self, weights: &Weights<'_>, data: &Data) -> Result<Vec<NetworkStep>, NetworkError> {
         let told = &data.policy_kwargs;
         let class = told.get("features_extractor_class").and_then(Value::as_str);
         if class.is_some_and(|class| !class.contains("FlattenExtractor")) || weights.has_part("features_extractor") {
@@ -139,8 +139,8 @@ impl ActorKind {
         let mut steps = Vec::new();
         let mut hidden = |name: &str| -> Result<(), NetworkError> {
             for layer in weights.sequential_layers(name)? {
-                steps.push(Step::Linear(layer));
-                steps.extend(activation.clone().map(Step::Each));
+                steps.push(NetworkStep::Linear(layer));
+                steps.extend(activation.clone().map(NetworkStep::Elementwise));
             }
             Ok(())
         };
@@ -148,7 +148,7 @@ impl ActorKind {
             Self::OnPolicy => {
                 hidden("mlp_extractor.shared_net")?;
                 hidden("mlp_extractor.policy_net")?;
-                steps.push(Step::Linear(weights.linear_layer("action_net")?));
+                steps.push(NetworkStep::Linear(weights.linear_layer("action_net")?));
             }
             Self::SoftActorCritic => {
                 hidden("actor.latent_pi")?;
@@ -156,16 +156,16 @@ impl ActorKind {
                 let is_cut = weights.has("actor.mu.0.weight");
                 let mean = weights.linear_layer(if is_cut { "actor.mu.0" } else { "actor.mu" })?;
                 let width = mean.biases.len();
-                steps.push(Step::Linear(mean));
+                steps.push(NetworkStep::Linear(mean));
                 if is_cut {
                     let limit = told.get("clip_mean").and_then(Value::as_f64).unwrap_or(2.0) as f32;
-                    steps.push(Step::Each(Elementwise::Clip { low: vec![-limit; width], high: vec![limit; width] }));
+                    steps.push(NetworkStep::Elementwise(Elementwise::Clip { low: vec![-limit; width], high: vec![limit; width] }));
                 }
             }
             Self::Deterministic => {
                 hidden("actor.mu")?;
                 // The last layer has tanh, whatever the others have.
-                if steps.last().is_some_and(|step| matches!(step, Step::Each(_))) {
+                if steps.last().is_some_and(|step| matches!(step, NetworkStep::Elementwise(_))) {
                     steps.pop();
                 }
             }
@@ -174,22 +174,22 @@ impl ActorKind {
     }
 
     /// From the actor's answer into the space of actions.
-    fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<Step> {
+    fn output_steps(self, data: &Data, actions: BoxSpace) -> Vec<NetworkStep> {
         let is_told = data.policy_kwargs.get("squash_output").and_then(Value::as_bool) == Some(true);
         let is_squashed = self != Self::OnPolicy || (data.use_sde && is_told);
         let BoxSpace { low, high } = actions;
         if !is_squashed {
-            return vec![Step::Each(Elementwise::Clip { low, high })];
+            return vec![NetworkStep::Elementwise(Elementwise::Clip { low, high })];
         }
         let ends = || low.iter().zip(&high).map(|(&low, &high)| (f64::from(low), f64::from(high)));
         let half: Vec<f32> = ends().map(|(low, high)| (0.5 * (high - low)) as f32).collect();
         let middle: Vec<f32> = ends().map(|(low, high)| (0.5 * (high + low)) as f32).collect();
-        let mut steps = vec![Step::Each(Elementwise::Tanh)];
+        let mut steps = vec![NetworkStep::Elementwise(Elementwise::Tanh)];
         if half.iter().any(|&half| half != 1.0) {
-            steps.push(Step::Each(Elementwise::Multiply(half)));
+            steps.push(NetworkStep::Elementwise(Elementwise::Multiply(half)));
         }
         if middle.iter().any(|&middle| middle != 0.0) {
-            steps.push(Step::Each(Elementwise::Add(middle)));
+            steps.push(NetworkStep::Elementwise(Elementwise::Add(middle)));
         }
         steps
     }

@@ -48,7 +48,7 @@ impl VecNormalizeUse {
 fn observation_values(array: &Value) -> Option<Vec<f64>> {
     let bytes = space::serialized_bytes(array, "_last_obs").ok()?;
     let pickle = Pickle::read(&bytes).ok()?;
-    space::observation_values(&pickle, pickle.top)
+    space::array_values(&pickle, pickle.top)
 }
 
 /// What `VecNormalize` did to observations, as its own file says.
@@ -98,7 +98,7 @@ impl VecNormalizeStats {
             return Some(Self::RewardsOnly);
         }
         let running = pickle.call(field("obs_rms")?)?;
-        let numbers = |name| space::observation_values(&pickle, pickle.entry(running.state?, name)?);
+        let numbers = |name| space::array_values(&pickle, pickle.entry(running.state?, name)?);
         let (means, variances) = (numbers("mean")?, numbers("var")?);
         let (epsilon, limit) = (pickle.number(field("epsilon")?)?, pickle.number(field("clip_obs")?)?);
         let deviations: Vec<f64> = variances.iter().map(|variance| (variance + epsilon).sqrt()).collect();

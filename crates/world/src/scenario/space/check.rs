@@ -9,7 +9,7 @@ use super::spec::{Base, ValueKind, ParameterSpec, SPACE_VERSION, SpaceSpec, Para
 use super::{SpaceParameter, ScenarioSpace};
 use crate::control::StartRefusal;
 use crate::scenario::file::FileError;
-use crate::scenario::{InvalidField, FieldProblem, Scenario, VehicleClass, built_in, built_in_scenario_names, file, format_compact};
+use crate::scenario::{InvalidField, FieldProblem, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file, format_compact};
 
 /// What makes a space unusable: where it is and what is wrong with it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -294,7 +294,7 @@ fn load_base(base: &Base, folder: &Path) -> Result<Scenario, InvalidSpace> {
             let in_base = |InvalidField { field, problem }| InvalidSpace::from_base(format!("base.{field}"), problem);
             spec.read_drivers(folder).and_then(|()| Scenario::new(spec)).map_err(in_base)
         }
-        Base::Named(name) => match built_in(name) {
+        Base::Named(name) => match built_in_scenario(name) {
             Some(scenario) => Ok(scenario),
             None if Path::new(name).extension().is_none() => {
                 let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();

@@ -307,7 +307,7 @@ impl<'de> Deserialize<'de> for Base {
         /// Not an untagged enum: that would lose the line and field of a mistake inside the scenario.
         struct BaseVisitor;
         impl<'de> de::Visitor<'de> for BaseVisitor {
-            type ParameterValue = Base;
+            type Value = Base;
 
             fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
                 out.write_str("a scenario's name, or a scenario")

@@ -231,7 +231,7 @@ impl<'a> LockstepBlock<'a> {
     /// One run as a platoon, for the exact treatment.
     fn gather(&self, lane: usize) -> PlatoonState {
         PlatoonState {
-            lane: crate::sim::lane::RunLane::of_all(self.columns.len()),
+            lane: crate::sim::lane::LaneState::with_all(self.columns.len()),
             motion: self.columns.iter().map(|column| column.motion(lane)).collect(),
             length_m: self.columns.iter().map(|column| column.length_m[lane]).collect(),
             mass_kg: self.columns.iter().map(|column| column.mass_kg[lane]).collect(),

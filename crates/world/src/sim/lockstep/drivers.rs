@@ -80,11 +80,11 @@ macro_rules! define {
                             *command = followers.model(run).desired_acceleration_mps2(&see(run));
                         }
                     }
-                    $(Self::$rule(all) => Controller::decide_together(all, see, commands, failed),)*
-                    Self::Policy(all) => Controller::decide_together(all, see, commands, failed),
-                    Self::Network(all) => Controller::decide_together(all, see, commands, failed),
-                    Self::Process(all) => Controller::decide_together(all, see, commands, failed),
-                    Self::Custom(all) => Controller::decide_together(all, see, commands, failed),
+                    $(Self::$rule(all) => Controller::decide_batch(all, see, commands, failed),)*
+                    Self::Policy(all) => Controller::decide_batch(all, see, commands, failed),
+                    Self::Network(all) => Controller::decide_batch(all, see, commands, failed),
+                    Self::Process(all) => Controller::decide_batch(all, see, commands, failed),
+                    Self::Custom(all) => Controller::decide_batch(all, see, commands, failed),
                     Self::Mixed(drivers) => {
                         for (run, (command, driver)) in commands.iter_mut().zip(drivers).enumerate() {
                             let seen = see(run);

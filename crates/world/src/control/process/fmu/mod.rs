@@ -49,6 +49,6 @@ pub enum FmuProblem {
 #[cfg(not(feature = "process"))]
 impl super::ProcessSetup {
     pub(crate) fn from_fmu(_: &std::path::Path, _: &str, _: FmuConfig) -> Result<Self, FmuProblem> {
-        Err(FmuProblem::NoProcesses)
+        Err(FmuProblem::ProcessFeatureDisabled)
     }
 }

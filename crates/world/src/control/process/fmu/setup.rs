@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use crumple_fmu::{Causality, Description, Fmu, ValueKind, Variable};
+use crumple_fmu::{Causality, ModelDescription, Fmu, VariableType, Variable};
 
 use super::units::{convert_input, convert_output, convert_parameter};
 use super::{FmuProblem, FmuConfig};
-use crate::control::{InputMapping, InvalidMapping, Mapping, OutputMapping, ProcessSetup, Quantity};
+use crate::control::{InputMapping, InvalidMapping, Mapping, OutputMapping, ProcessSetup, ObservedQuantity};
 
 /// The program that loads FMUs, installed beside crumple.
 const HOST_PROGRAM: &str = "crumple-fmu";
@@ -67,16 +67,16 @@ impl ProcessSetup {
 }
 
 /// Each input by its name.
-fn inputs_by_name(description: &Description) -> Result<Vec<InputMapping>, InvalidMapping> {
+fn inputs_by_name(description: &ModelDescription) -> Result<Vec<InputMapping>, InvalidMapping> {
     let inputs: Result<Vec<InputMapping>, String> = description
-        .of(Causality::Input)
+        .with_causality(Causality::Input)
         .map(|Variable { name, .. }| {
-            let named = Quantity::named(name).map(InputMapping::unscaled);
+            let named = ObservedQuantity::from_name(name).map(InputMapping::unscaled);
             named.ok_or_else(|| {
                 format!(
                     "its input `{name}` is called like nothing that can be seen: a controller file, F.toml with `fmu`, wires inputs of other \
                      names by `[[inputs]]` with `quantity` and `variable` (docs/controllers.md); the quantities are {}",
-                    Quantity::names().collect::<Vec<_>>().join(", ")
+                    ObservedQuantity::names().collect::<Vec<_>>().join(", ")
                 )
             })
         })
@@ -88,7 +88,7 @@ fn inputs_by_name(description: &Description) -> Result<Vec<InputMapping>, Invali
 }
 
 /// Returns the inputs in the units of their variables, and the names of these.
-fn connect_inputs(description: &Description, inputs: Vec<InputMapping>) -> Result<(Vec<InputMapping>, Vec<String>), InvalidMapping> {
+fn connect_inputs(description: &ModelDescription, inputs: Vec<InputMapping>) -> Result<(Vec<InputMapping>, Vec<String>), InvalidMapping> {
     let mut names: Vec<String> = Vec::with_capacity(inputs.len());
     let mut converted = Vec::with_capacity(inputs.len());
     for (index, input) in inputs.into_iter().enumerate() {
@@ -109,10 +109,10 @@ fn connect_inputs(description: &Description, inputs: Vec<InputMapping>) -> Resul
 }
 
 /// Returns the output that is the answer.
-fn answer_variable<'d>(description: &'d Description, output: &OutputMapping) -> Result<&'d Variable, InvalidMapping> {
+fn answer_variable<'d>(description: &'d ModelDescription, output: &OutputMapping) -> Result<&'d Variable, InvalidMapping> {
     let invalid = |problem| InvalidMapping::new("output.variable", problem);
     let outputs: Vec<&Variable> =
-        description.of(Causality::Output).filter(|variable| variable.kind == ValueKind::Real).collect();
+        description.with_causality(Causality::Output).filter(|variable| variable.kind == VariableType::Real).collect();
     let name = match (&output.variable, outputs.as_slice()) {
         (Some(variable), _) => variable,
         (None, [only]) => &only.name,
@@ -120,13 +120,13 @@ fn answer_variable<'d>(description: &'d Description, output: &OutputMapping) -> 
     };
     let found = find_variable(description, Causality::Output, name).map_err(invalid)?;
     match found.kind {
-        ValueKind::Real => Ok(found),
+        VariableType::Real => Ok(found),
         kind => Err(invalid(format!("`{name}` is {}, and an acceleration is real", kind.name()))),
     }
 }
 
-fn find_variable<'a>(description: &'a Description, causality: Causality, name: &str) -> Result<&'a Variable, String> {
-    let of_kind = || description.of(causality);
+fn find_variable<'a>(description: &'a ModelDescription, causality: Causality, name: &str) -> Result<&'a Variable, String> {
+    let of_kind = || description.with_causality(causality);
     of_kind().find(|variable| variable.name == name).ok_or_else(|| {
         let what = match causality {
             Causality::Input => "inputs",

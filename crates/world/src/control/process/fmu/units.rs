@@ -5,7 +5,7 @@
 
 use crumple_fmu::{Conversion, UnitDimension, Variable};
 
-use crate::control::{InputMapping, OutputMapping, Quantity};
+use crate::control::{InputMapping, OutputMapping, ObservedQuantity};
 
 /// Returns an input whose values are in the unit of its variable.
 ///
@@ -109,7 +109,7 @@ fn variable_with_unit(variable: &Variable) -> String {
 }
 
 /// Returns the dimension of a quantity by the end of its name.
-fn dimension_of(quantity: Quantity) -> UnitDimension {
+fn dimension_of(quantity: ObservedQuantity) -> UnitDimension {
     match quantity.name().rsplit('_').next() {
         Some("m") => UnitDimension::metres_seconds(1, 0),
         Some("s") => UnitDimension::metres_seconds(0, 1),
