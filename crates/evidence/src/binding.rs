@@ -6,19 +6,19 @@
 
 use std::path::Path;
 
-use crumple_verify::reach::{Actor, Dimension};
-use crumple_verify::{Certificate, Reach, Registration, Statement};
+use crumple_verify::reach::{NeuralController, BoxDimension};
+use crumple_verify::{Certificate, ReachClaim, Registration, Statement};
 
 use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
 use super::initial_set::InitialSet;
 use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
-use crumple_search::worst_case::{Family, ScenarioBoxError, Ranges, is_about, is_exactly};
+use crumple_search::worst_case::{ScenarioBox, ScenarioBoxError, ScenarioRanges, covers_scenario, matches_box};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
-use crumple_world::scenario::space::{self, Space};
-use crumple_world::scenario::{Scenario, built_in, built_in_names, file};
+use crumple_world::scenario::space::{self, ScenarioSpace};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
 /// Why a certificate is not about what it says.
@@ -101,11 +101,11 @@ pub enum ScenarioMismatch {
 /// # Errors
 /// [`BindingError`] says what is not.
 pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), BindingError> {
-    if certificate.is_old() {
+    if certificate.is_first_version() {
         let carried = &certificate.provenance.scenario_sha256;
         let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
-        let claimed = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(|one| hash(one) == *carried);
-        let is_of_it = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
+        let claimed = built_in_scenario_names().iter().filter_map(|(name, _)| built_in_scenario(name)).find(|one| hash(one) == *carried);
+        let is_of_it = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
         return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
     }
     match &certificate.statement {
@@ -115,12 +115,12 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
         Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
         // All others are about a scene.
         _ => {
-            let scenario = scenario_of(certificate)?;
+            let scenario = read_scenario(certificate)?;
             let family = match &certificate.provenance.box_text {
-                None => Family::point(&scenario),
-                Some(text) => Family::new(&scenario, &file::parse_toml::<Ranges>(text, Path::new(BOX_TEXT_FIELD))?)?,
+                None => ScenarioBox::point(&scenario),
+                Some(text) => ScenarioBox::new(&scenario, &file::parse_toml::<ScenarioRanges>(text, Path::new(BOX_TEXT_FIELD))?)?,
             };
-            if is_exactly(certificate, &family) { Ok(()) } else { Err(scene_mismatch()) }
+            if matches_box(certificate, &family) { Ok(()) } else { Err(scene_mismatch()) }
         }
     }
 }
@@ -132,7 +132,7 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
 /// [`ScenarioMismatch`] says what keeps the claim from being about it.
 pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, policy: Option<&[u8]>) -> Result<(), ScenarioMismatch> {
     let Statement::Reach(claim) = &certificate.statement else {
-        return if is_about(certificate, scenario) { Ok(()) } else { Err(ScenarioMismatch::OtherScene) };
+        return if covers_scenario(certificate, scenario) { Ok(()) } else { Err(ScenarioMismatch::OtherScene) };
     };
     let limit_mps2 = claim.leader_brakes_at_most_mps2;
     let starts = InitialSet::from_scenario(scenario, limit_mps2)?;
@@ -146,10 +146,10 @@ pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, pol
     if !can_execute_policy(policy, &starts) {
         return Err(ScenarioMismatch::OtherLimits);
     }
-    let outside = Dimension::ALL.into_iter().find_map(|dimension| {
+    let outside = BoxDimension::ALL.into_iter().find_map(|dimension| {
         let (outer, inner) = (claim.ranges.get(dimension), starts.ranges.get(dimension));
         let is_inside = outer.contains(inner.low()) && outer.contains(inner.high());
-        let field = dimension.field();
+        let field = dimension.field_name();
         (!is_inside).then(|| ScenarioMismatch::Outside { field, value: inner.low(), range: [outer.low(), outer.high()] })
     });
     outside.map_or(Ok(()), Err)
@@ -161,7 +161,7 @@ pub fn check_covers_scenario(certificate: &Certificate, scenario: &Scenario, pol
 pub fn count_omitted_vehicles(certificate: &Certificate) -> Option<usize> {
     let scene = certificate.statement.scene()?;
     let in_scene = 1 + scene.egos.len() + usize::from(scene.follower.is_some());
-    scenario_of(certificate).ok()?.vehicles().len().checked_sub(in_scene)
+    read_scenario(certificate).ok()?.vehicles().len().checked_sub(in_scene)
 }
 
 fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
@@ -169,7 +169,7 @@ fn mismatch(field: &'static str, problem: &'static str) -> BindingError {
 }
 
 fn scene_mismatch() -> BindingError {
-    differs("statement", "is not about the scenario, or box around it, of `provenance`")
+    mismatch("statement", "is not about the scenario, or box around it, of `provenance`")
 }
 
 fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
@@ -179,11 +179,11 @@ fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
     if scenario.spec().name == certificate.provenance.scenario {
         Ok(scenario)
     } else {
-        Err(differs("provenance.scenario", "is not the name in `scenario_text`"))
+        Err(mismatch("provenance.scenario", "is not the name in `scenario_text`"))
     }
 }
 
-fn is_same_run(claim: &Reach, starts: &InitialSet) -> bool {
+fn is_same_run(claim: &ReachClaim, starts: &InitialSet) -> bool {
     (claim.step_s, claim.steps) == (starts.step_s, starts.steps)
         && (claim.follower_ttc_s, claim.follower_law.as_deref())
             == (starts.follower_ttc_s, starts.follower_law.as_ref())
@@ -193,16 +193,16 @@ const BOX_TEXT_FIELD: &str = "provenance.box_text";
 
 /// Whether the vehicle can do whatever the policy asks for; the checker has looked at the policy, and found it whole.
 fn can_execute_policy(policy: Option<&[u8]>, starts: &InitialSet) -> bool {
-    policy.and_then(|bytes| Actor::from_bytes(bytes).ok()).is_some_and(|actor| starts.allows(actor.action_mps2))
+    policy.and_then(|bytes| NeuralController::from_bytes(bytes).ok()).is_some_and(|actor| starts.can_execute(actor.action_bounds_mps2))
 }
 
-fn check_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) -> Result<(), BindingError> {
-    let scenario = scenario_of(certificate)?;
+fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]>) -> Result<(), BindingError> {
+    let scenario = read_scenario(certificate)?;
     let text = certificate.provenance.box_text.as_ref();
     let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
     let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
     if spec.scenario != certificate.provenance.scenario {
-        return Err(differs(BOX_TEXT_FIELD, "is around another scenario"));
+        return Err(mismatch(BOX_TEXT_FIELD, "is around another scenario"));
     }
     let starts = InitialSet::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)
@@ -215,19 +215,19 @@ fn check_box(certificate: &Certificate, claim: &Reach, policy: Option<&[u8]>) ->
     if can_execute_policy(policy, &starts) {
         Ok(())
     } else {
-        Err(differs("policy_file", "asks for more than the vehicle can do"))
+        Err(mismatch("policy_file", "asks for more than the vehicle can do"))
     }
 }
 
 /// The space of a registration, from the text in the certificate.
-pub(super) fn read_space(certificate: &Certificate) -> Result<Space, BindingError> {
+pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
     let text = certificate.provenance.scenario_text.as_ref();
     let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
     let space = space::file::from_toml(text, Path::new("provenance.scenario_text"))?;
     if space.name() == certificate.provenance.scenario {
         Ok(space)
     } else {
-        Err(differs("provenance.scenario", "is not the name in `scenario_text`"))
+        Err(mismatch("provenance.scenario", "is not the name in `scenario_text`"))
     }
 }
 
@@ -239,10 +239,10 @@ pub(super) fn rebuild_plan(
 ) -> Result<RatePlan, BindingError> {
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let estimator = EstimatorKind::ALL.into_iter().find(|one| one.name() == of("estimator"));
-    let estimator = estimator.ok_or_else(|| differs("registration.configuration.estimator", "is none there is"))?;
-    let seed = of("seed").parse().map_err(|_| differs("registration.configuration.seed", "is no whole number"))?;
+    let estimator = estimator.ok_or_else(|| mismatch("registration.configuration.estimator", "is none there is"))?;
+    let seed = of("seed").parse().map_err(|_| mismatch("registration.configuration.seed", "is no whole number"))?;
     let (runs, confidence) = (registration.runs, registration.confidence);
-    let space = space_of(certificate)?;
+    let space = read_space(certificate)?;
     Ok(RatePlan::new(RateConfig { controller, against, space, seed, estimator, runs, confidence })?)
 }
 
@@ -259,20 +259,20 @@ pub(super) fn built_in_controllers(registration: &Registration) -> Option<(Named
 }
 
 fn check_registration(certificate: &Certificate, registration: &Registration) -> Result<(), BindingError> {
-    let space = space_of(certificate)?;
+    let space = read_space(certificate)?;
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     let text = space::file::to_toml(&space).unwrap_or_default();
     if sha256(text) != of("space_sha256") {
-        return Err(differs("provenance.scenario_text", "is not the space as it is written by this program"));
+        return Err(mismatch("provenance.scenario_text", "is not the space as it is written by this program"));
     }
     // Another release may know other controllers by the same names.
     if of("crumple") != env!("CARGO_PKG_VERSION") {
         return Ok(());
     }
     let Some(controllers) = built_in_controllers(registration) else { return Ok(()) };
-    if plan_of(certificate, registration, controllers)?.registration() == registration {
+    if rebuild_plan(certificate, registration, controllers)?.registration() == registration {
         Ok(())
     } else {
-        Err(differs("registration", "is not that of the controllers and space that it names"))
+        Err(mismatch("registration", "is not that of the controllers and space that it names"))
     }
 }

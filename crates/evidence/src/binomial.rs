@@ -32,9 +32,9 @@ fn solve_log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
     let (wanted, left) = (log(tail), (n - k) as f64);
     // Near the median of the rate.
     let mut odds = log((k as f64 + 2.0 / 3.0) / (left - 1.0 / 3.0));
-    for step in 0..MOST_STEPS {
+    for step in 0..MAX_STEPS {
         let [p, q] = [1.0 / (1.0 + exp(-odds)), 1.0 / (1.0 + exp(odds))];
-        let (ln_mass, ln_tail) = (ln_mass(k, n, p, q), ln_cdf(k, n, p, q));
+        let (ln_mass, ln_tail) = (ln_pmf(k, n, p, q), ln_cdf(k, n, p, q));
         let slope = -left * p * exp(ln_mass - ln_tail);
         let next = odds - (ln_tail - wanted) / slope;
         // From the second one on they go down, until nothing but rounding is left.
@@ -53,10 +53,10 @@ const MAX_STEPS: u32 = 100;
 fn ln_cdf(k: u64, n: u64, p: f64, q: f64) -> f64 {
     let is_low = (k as f64) < n as f64 * p;
     if is_low {
-        return ln_mass(k, n, p, q) + log(terms(k, n, p, q));
+        return ln_pmf(k, n, p, q) + log(cdf_to_pmf_ratio(k, n, p, q));
     }
     // X > k is as many successes as n - k - 1, or fewer.
-    let above = if k >= n { 0.0 } else { exp(ln_mass(k + 1, n, p, q)) * terms(n - k - 1, n, q, p) };
+    let above = if k >= n { 0.0 } else { exp(ln_pmf(k + 1, n, p, q)) * cdf_to_pmf_ratio(n - k - 1, n, q, p) };
     log1p(-above)
 }
 

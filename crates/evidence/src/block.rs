@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_core::digest::Sha256;
-use crumple_world::sim::{FailedController, Outcome, Simulated, Unanswered};
+use crumple_world::sim::{FailedController, Outcome, SimulationResult, FailedControllerRuns};
 
 /// What begins the bytes of which a block's hash is made.
 const HASH_PREFIX: &str = "crumple runs 2\n";
@@ -22,10 +22,10 @@ pub struct CountedBlock {
     pub sha256: String,
     /// Runs in which the controller, or the first of two, gave no answer: failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<Unanswered>,
+    pub unanswered: Option<FailedControllerRuns>,
     /// Runs in which the second gave none: these speak for neither of the two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub other_unanswered: Option<Unanswered>,
+    pub other_unanswered: Option<FailedControllerRuns>,
 }
 
 /// What came of a run, for hashing: how it ended, when, and the smallest gap, as bits.
@@ -37,7 +37,7 @@ pub(super) struct RunFingerprint {
 }
 
 impl RunFingerprint {
-    pub(super) fn new(result: &Simulated) -> Self {
+    pub(super) fn new(result: &SimulationResult) -> Self {
         let (kind, at_s) = match &result.outcome {
             Outcome::NoCollision => (0, 0.0),
             Outcome::Collision(contact) => (1, contact.time_s),
@@ -47,7 +47,7 @@ impl RunFingerprint {
         let mut bytes = [kind; 17];
         bytes[1..9].copy_from_slice(&at_s.to_bits().to_le_bytes());
         bytes[9..].copy_from_slice(&smallest_m.to_bits().to_le_bytes());
-        let unanswered = result.outcome.failed().map(FailedController::because);
+        let unanswered = result.outcome.failed_controller().map(FailedController::reason);
         Self { failed: kind != 0, unanswered, bytes }
     }
 }
@@ -69,7 +69,7 @@ impl CountedBlock {
             let silent = [&mut block.unanswered, &mut block.other_unanswered];
             for (known, ending) in silent.into_iter().zip(&endings) {
                 let because = ending.unanswered.clone();
-                Unanswered::join(known, because.map(|because| Unanswered { runs: 1, because }));
+                FailedControllerRuns::merge(known, because.map(|because| FailedControllerRuns { runs: 1, because }));
             }
             match endings.as_slice() {
                 [one] if one.failed => block.failures += 1,

@@ -1,11 +1,11 @@
 //! Report of the checker on a certificate, for readers and for programs.
 
-use super::{Confirmation, Unbound, bound, left_out};
-use crumple_core::quoted::Terminal;
+use super::{Confirmation, BindingError, check_binding, count_omitted_vehicles};
+use crumple_core::quoting::TerminalText;
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
-use crumple_verify::{Accepted, Certificate, Scope, Statement, WorkLimit, check, check_with};
+use crumple_verify::{ProvedClaim, Certificate, Scope, Statement, WorkLimit, check, check_with};
 use crumple_world::scenario::space::{built_in_space, file as space_file};
-use crumple_world::scenario::{built_in, file};
+use crumple_world::scenario::{built_in_scenario, file};
 use serde::Serialize;
 
 /// Report of the checker on a certificate.
@@ -16,7 +16,7 @@ pub struct CertificateReport<'a> {
     /// Certificate that was checked.
     pub certificate: &'a Certificate,
     /// Accepted statement, or the reason for the rejection.
-    pub accepted: Result<Accepted, String>,
+    pub accepted: Result<ProvedClaim, String>,
     /// Strength of the counts, if the statement rests on counts.
     pub counts: Option<CountsStatus>,
     /// Reason why the certificate is not about the requested scenario, if one was requested.
@@ -45,8 +45,8 @@ pub enum CountsStatus {
 impl CountsStatus {
     fn name(&self) -> &'static str {
         match self {
-            Self::MakersWord => "makers_word",
-            Self::Confirmed { confirmation, .. } if confirmation.is_whole() => "confirmed",
+            Self::Unconfirmed => "makers_word",
+            Self::Confirmed { confirmation, .. } if confirmation.is_complete() => "confirmed",
             Self::Confirmed { .. } => "confirmed_by_sample",
             Self::Refuted { .. } => "refuted",
         }
@@ -54,15 +54,15 @@ impl CountsStatus {
 
     fn summary(&self) -> String {
         match self {
-            Self::MakersWord => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
+            Self::Unconfirmed => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
             Self::Refuted { because } => format!("counted again, and refuted: {because}"),
-            Self::Confirmed { confirmation, .. } if confirmation.is_whole() => format!(
+            Self::Confirmed { confirmation, .. } if confirmation.is_complete() => format!(
                 "confirmed: all {} runs were drawn and simulated again here, and each ended as it is said to",
-                confirmation.of_runs
+                confirmation.total_runs
             ),
             Self::Confirmed { confirmation, seed } => {
-                let Confirmation { blocks, of_blocks, runs, of_runs, .. } = confirmation;
-                let mut chances = catches(confirmation).to_vec();
+                let Confirmation { blocks, total_blocks: of_blocks, runs, total_runs: of_runs, .. } = confirmation;
+                let mut chances = detection_probabilities(confirmation).to_vec();
                 // Of few runs a hundredth is one as well.
                 chances.dedup();
                 let chance = |(forged, chance): (u64, f64)| {
@@ -85,7 +85,7 @@ impl CountsStatus {
 
 /// How surely a confirmation would have caught a maker of one, of a hundredth and of a tenth of all runs.
 fn detection_probabilities(confirmation: &Confirmation) -> [(u64, f64); 3] {
-    [1, confirmation.of_runs.div_ceil(100), confirmation.of_runs.div_ceil(10)]
+    [1, confirmation.total_runs.div_ceil(100), confirmation.total_runs.div_ceil(10)]
         .map(|forged| (forged, confirmation.detection_probability(forged)))
 }
 
@@ -100,21 +100,21 @@ impl<'a> CertificateReport<'a> {
         certificate: &'a Certificate,
         policy: Option<&[u8]>,
         limit: WorkLimit,
-    ) -> Result<Self, Unbound> {
+    ) -> Result<Self, BindingError> {
         let accepted = check_with(certificate, policy, limit).map_err(|rejection| rejection.to_string());
-        let accepted = match (accepted, bound(certificate, policy)) {
-            (Ok(_), Err(refused @ Unbound::StartRefused(_))) => return Err(refused),
+        let accepted = match (accepted, check_binding(certificate, policy)) {
+            (Ok(_), Err(refused @ BindingError::StartRefused(_))) => return Err(refused),
             (Ok(_), Err(unbound)) => Err(unbound.to_string()),
             (accepted, _) => accepted,
         };
-        Ok(Self { path, certificate, accepted, counts: None, about: None })
+        Ok(Self { path, certificate, accepted, counts: None, covers_scenario: None })
     }
 
     /// Checks a certificate just made, whose texts need not be read again.
     #[must_use]
     pub fn new(path: String, certificate: &'a Certificate) -> Self {
         let accepted = check(certificate).map_err(|rejection| rejection.to_string());
-        Self { path, certificate, accepted, counts: None, about: None }
+        Self { path, certificate, accepted, counts: None, covers_scenario: None }
     }
 }
 
@@ -122,7 +122,7 @@ impl CertificateReport<'_> {
     /// Returns true if the certificate is rejected, refuted, or not about the requested scenario.
     #[must_use]
     pub fn is_refused(&self) -> bool {
-        self.is_rejected() || matches!(self.about, Some(Err(_)))
+        self.is_rejected() || matches!(self.covers_scenario, Some(Err(_)))
     }
 
     /// Returns true if the statement is not proved, or its counts are refuted.
@@ -134,7 +134,7 @@ impl CertificateReport<'_> {
     /// The confidence of an accepted bound.
     fn confidence(&self) -> Option<f64> {
         match self.accepted {
-            Ok(Accepted::Rate { confidence, .. } | Accepted::FailsLessOften { confidence }) => Some(confidence),
+            Ok(ProvedClaim::Rate { confidence, .. } | ProvedClaim::FailsLessOften { confidence }) => Some(confidence),
             _ => None,
         }
     }
@@ -143,19 +143,19 @@ impl CertificateReport<'_> {
     /// bound to none.
     fn is_built_in(&self) -> Option<bool> {
         let provenance = &self.certificate.provenance;
-        let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_old())?;
+        let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_first_version())?;
         let built_in = match &self.certificate.statement {
             Statement::Rate(_) | Statement::Comparison(_) => {
                 space_file::to_toml(&built_in_space(&provenance.scenario)?)
             }
-            _ => file::to_toml(&built_in(&provenance.scenario)?),
+            _ => file::to_toml(&built_in_scenario(&provenance.scenario)?),
         };
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
     /// The scope, with the vehicles of its own scenario that the claim leaves out.
-    fn scope(&self, accepted: Option<&Accepted>) -> Scope {
-        match (left_out(self.certificate), accepted) {
+    fn scope(&self, accepted: Option<&ProvedClaim>) -> Scope {
+        match (count_omitted_vehicles(self.certificate), accepted) {
             (Some(vehicles), _) => self.certificate.scope_with_uncovered_vehicles(accepted, vehicles),
             (None, Some(accepted)) => self.certificate.scope_with_result(accepted),
             (None, None) => self.certificate.scope(),
@@ -163,26 +163,26 @@ impl CertificateReport<'_> {
     }
 
     fn text(&self, scenario: Option<&str>) -> String {
-        let Self { certificate, accepted, counts, about, .. } = self;
-        let path = Terminal(&self.path);
+        let Self { certificate, accepted, counts, covers_scenario: about, .. } = self;
+        let path = TerminalText(&self.path);
         let mut text = match accepted {
             Ok(accepted) if matches!(counts, Some(CountsStatus::Refuted { .. })) => {
                 format!("{path}: REFUTED, though it would follow from its counts: {accepted}\n")
             }
             Ok(accepted) if let (Some(scenario), Some(Err(why))) = (scenario, about) => {
-                let (scenario, why) = (Terminal(scenario), Terminal(why));
+                let (scenario, why) = (TerminalText(scenario), TerminalText(why));
                 format!("{path}: is NOT about {scenario}: {why}; taken by itself it is accepted: {accepted}\n")
             }
             Ok(accepted) => format!("{path}: accepted: {accepted}\n"),
             Err(rejection) => {
-                format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), Terminal(rejection))
+                format!("{path}: rejected: {} is not proved: {}\n", certificate.statement.name(), TerminalText(rejection))
             }
         };
         match (scenario, about) {
-            (Some(scenario), Some(Ok(()))) => text += &format!("  is about {}\n", Terminal(scenario)),
+            (Some(scenario), Some(Ok(()))) => text += &format!("  is about {}\n", TerminalText(scenario)),
             // Of an accepted one the first line says so.
             (Some(scenario), Some(Err(why))) if accepted.is_err() => {
-                text += &format!("  is NOT about {}: {}\n", Terminal(scenario), Terminal(why));
+                text += &format!("  is NOT about {}: {}\n", TerminalText(scenario), TerminalText(why));
             }
             _ => {}
         }
@@ -190,7 +190,7 @@ impl CertificateReport<'_> {
         if let Statement::Rate(rate) = &certificate.statement {
             text += &format!("  from {} failures in {} runs, as counted\n", rate.failures, rate.registration.runs);
         }
-        text += &counts.iter().map(|counts| format!("  {}\n", Terminal(&counts.words()))).collect::<String>();
+        text += &counts.iter().map(|counts| format!("  {}\n", TerminalText(&counts.summary()))).collect::<String>();
         text += &self.scope(Some(shown)).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  which is the built-in one of that name\n",
@@ -200,7 +200,7 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
-        let old = if certificate.is_old() { ", an old one: docs/certificates.md says what it leaves open" } else { "" };
+        let old = if certificate.is_first_version() { ", an old one: docs/certificates.md says what it leaves open" } else { "" };
         text + &format!(
             "  version {}{old}; SHA-256 of what it says, without spaces and line breaks: {}\n",
             certificate.version,
@@ -281,28 +281,28 @@ struct RerunReport {
 /// None in practice; the serializer's error is passed on.
 pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::Error> {
     let joint_confidence = joint_confidence(all).map(|(_, confidence)| confidence);
-    let lines = all.iter().map(|one| Ok(serde_json::to_string(&line_of(one, joint_confidence))? + "\n"));
+    let lines = all.iter().map(|one| Ok(serde_json::to_string(&report_line(one, joint_confidence))? + "\n"));
     lines.collect()
 }
 
 fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
-    let CertificateReport { path, certificate, accepted, counts, about } = one;
+    let CertificateReport { path, certificate, accepted, counts, covers_scenario: about } = one;
     let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
     let (mut gap_bound_m, mut afterwards) = (None, None);
     let (mut margin_m, mut x_ego_width_m) = (None, None);
     // JSON has no infinity: an overlap of any size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     match *accepted {
-        Ok(Accepted::Avoidable { smallest_gap_m: gap_m, afterwards: then, .. }) => {
+        Ok(ProvedClaim::Avoidable { min_gap_m: gap_m, after_horizon: then, .. }) => {
             (smallest_gap_m, afterwards) = (Some(gap_m), Some(then.name()));
         }
-        Ok(Accepted::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
-        Ok(Accepted::GapBound { gap_m, .. }) => gap_bound_m = Some(gap_m),
-        Ok(Accepted::Rate { at_most, .. }) => rate_at_most = Some(at_most),
-        Ok(Accepted::Cruise { margin_m: margin, x_ego_width_m: width }) => {
+        Ok(ProvedClaim::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
+        Ok(ProvedClaim::GapBound { gap_m, .. }) => gap_bound_m = Some(gap_m),
+        Ok(ProvedClaim::Rate { max_rate: at_most, .. }) => rate_at_most = Some(at_most),
+        Ok(ProvedClaim::Cruise { margin_m: margin, x_ego_width_m: width }) => {
             (margin_m, x_ego_width_m) = (finite(margin), finite(width));
         }
-        Ok(Accepted::Reach { smallest_gap_m: gap_m, verified_share: share, .. }) => {
+        Ok(ProvedClaim::Reach { min_gap_m: gap_m, verified_share: share, .. }) => {
             (smallest_gap_m, verified_share) = (finite(gap_m), Some(share));
         }
         _ => {}
@@ -315,11 +315,11 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
     let rerun = match counts {
         Some(CountsStatus::Confirmed { confirmation, seed }) => Some(RerunReport {
             runs: confirmation.runs,
-            of_runs: confirmation.of_runs,
+            total_runs: confirmation.total_runs,
             blocks: confirmation.blocks,
-            of_blocks: confirmation.of_blocks,
+            total_blocks: confirmation.total_blocks,
             seed: *seed,
-            catches: catches(confirmation),
+            detection_probabilities: detection_probabilities(confirmation),
         }),
         _ => None,
     };

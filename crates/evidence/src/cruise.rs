@@ -5,16 +5,16 @@
 
 use std::time::Instant;
 
-use crumple_verify::cruise::{self, Cruise, FARTHEST, KEPT, LEAD_ACCEL_MPS2, PERIOD_S, PERIODS, STARTS, SET_SPEED_AND_TIME_GAP, Unshown};
-use crumple_verify::reach::{Actor, file_name};
+use crumple_verify::cruise::{self, CruiseClaim, CLIP_LIMIT, SAFE_DISTANCE, LEAD_ACCEL_MPS2, PERIOD_S, PERIODS, INITIAL_SET, SET_SPEED_AND_TIME_GAP, CruiseBoundsError};
+use crumple_verify::reach::{NeuralController, controller_file_name};
 use crumple_verify::{Certificate, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::certificate;
+use super::certificate_without_scenario;
 use crumple_core::digest::sha256;
-use crumple_world::control::{HistoryPadding, Input, InvalidMapping, Mapping, NetworkController, Output, Quantity};
+use crumple_world::control::{HistoryPadding, InputMapping, InvalidMapping, Mapping, NetworkController, OutputMapping, ObservedQuantity};
 use crumple_world::network::{FeedForward, NetworkFile};
 use crumple_world::policy::Workspace;
 use crumple_world::random::{self, Purpose};
@@ -35,14 +35,14 @@ pub enum CruiseError {
     Unreadable(String),
     /// Nothing is shown of it.
     #[error(transparent)]
-    Unproved(#[from] Unshown),
+    Unproved(#[from] CruiseBoundsError),
 }
 
 /// A network in the benchmark.
 pub struct CruisePlan {
     network: NetworkController,
     bytes: Vec<u8>,
-    actor: Actor,
+    actor: NeuralController,
 }
 
 /// What is proved.
@@ -80,17 +80,17 @@ impl CruisePlan {
             let problem = format!("answers with {answers} numbers, and the benchmark wants 1");
             return Err(InvalidMapping { field: "network".to_owned(), problem }.into());
         }
-        let input = |quantity, constant| Input {
+        let input = |quantity, constant| InputMapping {
             variable: None,
             quantity,
             constant,
             offset: 0.0,
             scale: 1.0,
-            low: -FARTHEST,
-            high: FARTHEST,
+            low: -CLIP_LIMIT,
+            high: CLIP_LIMIT,
             absent: None,
         };
-        let seen = [Quantity::SpeedMps, Quantity::GapAheadM, Quantity::RelativeSpeedAheadMps];
+        let seen = [ObservedQuantity::SpeedMps, ObservedQuantity::GapAheadM, ObservedQuantity::RelativeSpeedAheadMps];
         let told = SET_SPEED_AND_TIME_GAP.map(|constant| input(None, Some(constant)));
         let mapping = Mapping {
             decision_interval_s: Some(PERIOD_S),
@@ -98,19 +98,19 @@ impl CruisePlan {
             history_padding: HistoryPadding::First,
             newest_first: false,
             inputs: told.into_iter().chain(seen.map(|quantity| input(Some(quantity), None))).collect(),
-            output: Output {
+            output: OutputMapping {
                 variable: None,
                 answer: None,
                 squash: None,
                 scale_mps2: 1.0,
                 offset_mps2: 0.0,
-                low_mps2: -FARTHEST,
-                high_mps2: FARTHEST,
+                low_mps2: -CLIP_LIMIT,
+                high_mps2: CLIP_LIMIT,
             },
         };
         let network = NetworkController::new(file, mapping)?;
         let bytes = network.checker_file()?;
-        let actor = Actor::from_bytes(&bytes).map_err(CruiseError::Unreadable)?;
+        let actor = NeuralController::from_bytes(&bytes).map_err(CruiseError::Unreadable)?;
         Ok(Self { network, bytes, actor })
     }
 
@@ -132,13 +132,13 @@ impl CruisePlan {
     /// [`CruiseError`] if bounds become too wide.
     pub fn prove(&self, cells: u32) -> Result<CruiseProof, CruiseError> {
         let begin = Instant::now();
-        let found = cruise::bounds(&self.actor, cells)?;
+        let found = cruise::compute_bounds(&self.actor, cells)?;
         let seconds = begin.elapsed().as_secs_f64();
         let source = self.actor.source.clone();
         let source = source.ok_or_else(|| CruiseError::Unreadable("says not what it was read from".to_owned()))?;
         let policy_sha256 = sha256(&self.bytes);
-        let claim = Cruise {
-            policy_file: file_name(&policy_sha256, true),
+        let claim = CruiseClaim {
+            policy_file: controller_file_name(&policy_sha256, true),
             policy_sha256,
             source,
             cells,
@@ -146,61 +146,61 @@ impl CruisePlan {
             margin_m_at_least: (found.margin_m * 1e6).floor() / 1e6,
             x_ego_width_m_at_most: (found.x_ego_width_m() * 1e6).ceil() / 1e6,
         };
-        let certificate = certificate(Statement::AdaptiveCruise(claim));
+        let certificate = certificate_without_scenario(Statement::AdaptiveCruise(claim));
         Ok(CruiseProof { certificate, margin_m: found.margin_m, x_ego_m: found.x_ego_m, seconds })
     }
 
     /// Drives from the corners of the box and from random starts, the same for the same seed.
     #[must_use]
-    pub fn sample(&self, samples: usize, seed: u64) -> Sampled {
-        let nothing = || Sampled { samples: 0, margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
-        let blocks = (0..samples.div_ceil(TOGETHER)).into_par_iter();
+    pub fn sample(&self, samples: usize, seed: u64) -> CruiseSamples {
+        let nothing = || CruiseSamples { samples: 0, margin_m: f64::INFINITY, x_ego_m: [f64::INFINITY, f64::NEG_INFINITY] };
+        let blocks = (0..samples.div_ceil(BATCH_SIZE)).into_par_iter();
         let driven = blocks.map(|block| {
-            let mut stream = random::stream(seed, Purpose::ScenarioDraw, block as u64);
-            let count = TOGETHER.min(samples - block * TOGETHER);
+            let mut stream = random::stream(seed, Purpose::ScenarioSampling, block as u64);
+            let count = BATCH_SIZE.min(samples - block * BATCH_SIZE);
             let starts: Vec<[f64; 4]> =
-                (0..count).map(|_| STARTS.map(|[low, high]| low + (high - low) * stream.random::<f64>())).collect();
-            simulated(self.network.network(), &starts)
+                (0..count).map(|_| INITIAL_SET.map(|[low, high]| low + (high - low) * stream.random::<f64>())).collect();
+            simulate(self.network.network(), &starts)
         });
         let corners: Vec<[f64; 4]> =
-            (0..16_usize).map(|corner| std::array::from_fn(|i| STARTS[i][corner >> i & 1])).collect();
-        let both = |a: Sampled, b: Sampled| Sampled {
+            (0..16_usize).map(|corner| std::array::from_fn(|i| INITIAL_SET[i][corner >> i & 1])).collect();
+        let both = |a: CruiseSamples, b: CruiseSamples| CruiseSamples {
             samples: a.samples + b.samples,
             margin_m: a.margin_m.min(b.margin_m),
             x_ego_m: [a.x_ego_m[0].min(b.x_ego_m[0]), a.x_ego_m[1].max(b.x_ego_m[1])],
         };
-        both(driven.reduce(nothing, both), simulated(self.network.network(), &corners))
+        both(driven.reduce(nothing, both), simulate(self.network.network(), &corners))
     }
 }
 
 /// Drives from starts (x_lead, v_lead, x_ego, v_ego).
-fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> Sampled {
+fn simulate(network: &FeedForward, starts: &[[f64; 4]]) -> CruiseSamples {
     let mut cars: Vec<[[f64; 3]; 2]> =
         starts.iter().map(|[x_lead, v_lead, x_ego, v_ego]| [[*x_lead, *v_lead, 0.0], [*x_ego, *v_ego, 0.0]]).collect();
-    let margin = |[lead, ego]: &[[f64; 3]; 2]| lead[0] - ego[0] - KEPT[0] - KEPT[1] * ego[1];
+    let margin = |[lead, ego]: &[[f64; 3]; 2]| lead[0] - ego[0] - SAFE_DISTANCE[0] - SAFE_DISTANCE[1] * ego[1];
     let mut least = cars.iter().map(margin).fold(f64::INFINITY, f64::min);
     let mut space = Workspace::default();
     for _ in 0..PERIODS {
         let see = |[lead, ego]: &[[f64; 3]; 2]| [SET_SPEED_AND_TIME_GAP[0], SET_SPEED_AND_TIME_GAP[1], ego[1], lead[0] - ego[0], lead[1] - ego[1]];
         let rows: Vec<f32> = cars.iter().flat_map(see).map(|number| number as f32).collect();
-        let answers = network.answers(&rows, cars.len(), &mut space);
+        let answers = network.forward(&rows, cars.len(), &mut space);
         for (cars, &answer) in cars.iter_mut().zip(answers) {
-            for _ in 0..STEPS {
+            for _ in 0..STEPS_PER_PERIOD {
                 let [lead, ego] = cars;
-                *lead = stepped(*lead, LEAD_ACCEL_MPS2);
-                *ego = stepped(*ego, f64::from(answer));
+                *lead = runge_kutta_step(*lead, LEAD_ACCEL_MPS2);
+                *ego = runge_kutta_step(*ego, f64::from(answer));
                 least = least.min(margin(cars));
             }
         }
     }
     let ends = cars.iter().map(|[_, ego]| ego[0]);
     let x_ego_m = ends.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| [low.min(x), high.max(x)]);
-    Sampled { samples: starts.len(), margin_m: least, x_ego_m }
+    CruiseSamples { samples: starts.len(), margin_m: least, x_ego_m }
 }
 
 /// (x, v, γ) a step later.
 fn runge_kutta_step(from: [f64; 3], a: f64) -> [f64; 3] {
-    let h = PERIOD_S / STEPS as f64;
+    let h = PERIOD_S / STEPS_PER_PERIOD as f64;
     let rate = |[_, v, gamma]: [f64; 3]| [v, gamma, -2.0 * gamma + 2.0 * a - cruise::DRAG * v * v];
     let moved = |by: [f64; 3], h: f64| std::array::from_fn(|i| from[i] + h * by[i]);
     let first = rate(from);

@@ -1,7 +1,7 @@
 //! What a box says about everything but the policy: where all members start, and what else is the same for all of them.
 
 use crumple_verify::Interval;
-use crumple_verify::reach::{AccAeb, Idm, Law, Ranges};
+use crumple_verify::reach::{AccAebLaw, IdmLaw, FollowerLaw, InitialRanges};
 
 use super::reach::{BoxSpec, InvalidBox, RangesSpec};
 use crumple_world::control::ControllerSpec;
@@ -18,10 +18,10 @@ pub(super) struct InitialSet {
     pub(super) step_s: f64,
     pub(super) steps: u32,
     pub(super) follower_ttc_s: Option<f64>,
-    pub(super) follower_law: Option<Law>,
+    pub(super) follower_law: Option<FollowerLaw>,
     /// Within which limit the leader brakes as it likes; then the ranges say 0 of its rate and onset.
     pub(super) leader_brakes_at_most_mps2: Option<f64>,
-    pub(super) ranges: Ranges,
+    pub(super) ranges: InitialRanges,
     /// What the vehicle under test can do: hardest braking, negative, and acceleration, in m/s².
     accel_limits_mps2: [f64; 2],
 }
@@ -66,7 +66,7 @@ impl InitialSet {
         let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
             ([], None) => (None, None),
             ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning where nobody is behind")),
-            ([follower], in_place) => of_follower(follower, in_place.as_ref())?,
+            ([follower], in_place) => follower_model(follower, in_place.as_ref())?,
             _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
         };
         let step_s = scenario.spec().step_s;
@@ -76,7 +76,7 @@ impl InitialSet {
         let of_script =
             |range, value: fn(&Brake) -> f64| script.map_or(Interval::ZERO, |brake| or(range, value(brake)));
         let onset_s = of_script(given.onset_s, |brake| brake.onset_s);
-        let ranges = Ranges {
+        let ranges = InitialRanges {
             gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
             gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
             leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
@@ -101,7 +101,7 @@ impl InitialSet {
             follower_law,
             leader_brakes_at_most_mps2: led,
             ranges,
-            able_mps2,
+            accel_limits_mps2: able_mps2,
         })
     }
 
@@ -119,21 +119,21 @@ impl InitialSet {
 
     /// What the vehicle under test can do, in m/s².
     pub(super) fn accel_limits_mps2(&self) -> [f64; 2] {
-        self.able_mps2
+        self.accel_limits_mps2
     }
 
     /// Whether the vehicle under test can do whatever a policy with these bounds asks for.
     pub(super) fn can_execute(&self, [low_mps2, high_mps2]: [f64; 2]) -> bool {
-        low_mps2 >= self.able_mps2[0] && high_mps2 <= self.able_mps2[1]
+        low_mps2 >= self.accel_limits_mps2[0] && high_mps2 <= self.accel_limits_mps2[1]
     }
 }
 
 /// How a follower drives, in place of what the scenario says if that is given: θ of its latched emergency brake, or a law.
-fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(Option<f64>, Option<Law>), InvalidBox> {
+fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
     let max_accel_mps2 = follower.max_accel_mps2();
     let law = match in_place.unwrap_or(&follower.driver) {
         Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
-        Driver::Controller(ControllerSpec::Idm(idm)) => Law::Idm(Idm {
+        Driver::Controller(ControllerSpec::Idm(idm)) => FollowerLaw::Idm(IdmLaw {
             desired_speed_mps: idm.desired_speed_mps,
             time_headway_s: idm.time_headway_s,
             standstill_gap_m: idm.standstill_gap_m,
@@ -141,7 +141,7 @@ fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(
             comfortable_brake_mps2: idm.comfortable_brake_mps2,
             max_accel_mps2,
         }),
-        Driver::Controller(ControllerSpec::AccAeb(acc)) => Law::AccAeb(AccAeb {
+        Driver::Controller(ControllerSpec::AccAeb(acc)) => FollowerLaw::AccAeb(AccAebLaw {
             ttc_s: acc.ttc_s,
             time_headway_s: acc.time_headway_s,
             standstill_gap_m: acc.standstill_gap_m,
@@ -165,16 +165,16 @@ fn follower_model(follower: &VehicleSpec, in_place: Option<&Driver>) -> Result<(
 /// Whether a leader can brake as it likes within a limit, and nothing is said of one script besides.
 fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {
     if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
-        return Err(InvalidBox::field(LEADER_LIMIT, format!("must be a number from 0 on, found {limit_mps2}")));
+        return Err(InvalidBox::field(LEADER_LIMIT_FIELD, format!("must be a number from 0 on, found {limit_mps2}")));
     }
     if limit_mps2 > able_mps2 {
         let problem = format!("is harder than the leader can brake: {able_mps2} m/s² at most, found {limit_mps2}");
-        return Err(InvalidBox::field(LEADER_LIMIT, problem));
+        return Err(InvalidBox::field(LEADER_LIMIT_FIELD, problem));
     }
     let of_script = [("leader_brake_mps2", given.leader_brake_mps2), ("onset_s", given.onset_s)];
     match of_script.into_iter().find(|(_, range)| range.is_some()) {
         Some((name, _)) => {
-            let problem = format!("has no meaning where `{LEADER_LIMIT}` is given: the leader brakes as it likes");
+            let problem = format!("has no meaning where `{LEADER_LIMIT_FIELD}` is given: the leader brakes as it likes");
             Err(InvalidBox::field(&format!("ranges.{name}"), problem))
         }
         None => Ok(()),

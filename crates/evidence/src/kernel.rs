@@ -2,8 +2,8 @@
 
 use crumple_verify::{Certificate, Statement};
 
-use super::certificate;
-use crumple_world::control::{Kernel, MARGIN_M};
+use super::certificate_without_scenario;
+use crumple_world::control::{ViabilityKernel, MIN_MARGIN_M};
 use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 
 /// The certificate of each pair of vehicle classes on a dry road, with a name: `light-behind-heavy`.
@@ -13,7 +13,7 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
     let certificates = pairs.filter_map(|(own, ahead)| {
         let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let name = format!("{}-behind-{}", own.name(), ahead.name());
-        let certificate = kernel_certificate(&kernel, PAPER_STEP_S, MARGIN_M)?;
+        let certificate = kernel_certificate(&kernel, PAPER_STEP_S, MIN_MARGIN_M)?;
         Some((name, certificate))
     });
     certificates.collect()
@@ -24,10 +24,10 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
 /// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
 pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
-    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::of);
+    let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::from_f64);
     let (b, c) = (b?, c?);
     let harder = b.minus(c)?;
-    Some(certificate(Statement::Kernel(crumple_verify::Kernel {
+    Some(certificate_without_scenario(Statement::Kernel(crumple_verify::KernelClaim {
         ego_brake_mps2: b.to_string(),
         leader_brake_mps2: c.to_string(),
         step_s: h?.to_string(),
@@ -51,7 +51,7 @@ impl Rational {
         while b != 0 {
             (a, b) = (b, a % b);
         }
-        (under > 0).then(|| Self { over: over / a, under: under / a })
+        (under > 0).then(|| Self { numerator: over / a, denominator: under / a })
     }
 
     /// A positive number as it is printed.
@@ -63,19 +63,19 @@ impl Rational {
     }
 
     fn checked_sub(self, other: Self) -> Option<Self> {
-        let (a, b) = (self.over.checked_mul(other.under)?, other.over.checked_mul(self.under)?);
-        Self::new(a.checked_sub(b)?, self.under.checked_mul(other.under)?)
+        let (a, b) = (self.numerator.checked_mul(other.denominator)?, other.numerator.checked_mul(self.denominator)?);
+        Self::new(a.checked_sub(b)?, self.denominator.checked_mul(other.denominator)?)
     }
 
     /// 1 / (2 x)
     fn half_reciprocal(self) -> Option<Self> {
-        Self::new(self.under, self.over.checked_mul(2)?)
+        Self::new(self.denominator, self.numerator.checked_mul(2)?)
     }
 }
 
 impl std::fmt::Display for Rational {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { over, under } = self;
+        let Self { numerator: over, denominator: under } = self;
         if *under == 1 { write!(out, "{over}") } else { write!(out, "{over}/{under}") }
     }
 }

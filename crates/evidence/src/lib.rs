@@ -25,27 +25,27 @@ mod rerun;
 mod script;
 mod initial_set;
 
-pub use binding::{ScenarioMismatch, Unbound, bound, left_out, lies_within};
+pub use binding::{ScenarioMismatch, BindingError, check_binding, count_omitted_vehicles, check_covers_scenario};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
-pub use cruise::{CruiseError, CruisePlan, Proved, Sampled};
+pub use cruise::{CruiseError, CruisePlan, CruiseProof, CruiseSamples};
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
-pub use paired::Discordant;
-pub use planning::{SampleSizeError, runs_for};
+pub use paired::DiscordantPairs;
+pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
-pub use rate_merge::{MergedCount, SoFar};
+pub use rate_merge::{MergedCount, PartialCount};
 pub use rate_shard::{RateShard, COUNT_SHARD_KIND};
 pub use reach::{BoxSpec, UndecidedCounts, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, VolumeShares, checker_file};
-pub use record::{CountRecord, Tally};
-pub use rerun::{Confirmation, Rerun, RerunError, Sample};
+pub use record::{CountRecord, CountTally};
+pub use rerun::{Confirmation, Rerun, RerunError, BlockSelection};
 
 use crumple_verify::{Certificate, Statement};
 
-use crumple_search::worst_case::certificate_about;
+use crumple_search::worst_case::build_certificate;
 
 /// A statement about no scenario as a certificate of this program, with the assumptions it needs.
 fn certificate_without_scenario(statement: Statement) -> Certificate {
-    certificate_about(String::new(), None, None, statement)
+    build_certificate(String::new(), None, None, statement)
 }

@@ -23,8 +23,8 @@ impl DiscordantPairs {
     /// Probability of so many new failures or more, were the second controller no worse than the first.
     #[must_use]
     pub fn p_value(&self) -> f64 {
-        let Some(below) = self.new.checked_sub(1) else { return 1.0 };
-        Binomial::new(0.5, self.new.saturating_add(self.fixed)).map_or(f64::NAN, |chance| chance.sf(below))
+        let Some(below) = self.only_second_fails.checked_sub(1) else { return 1.0 };
+        Binomial::new(0.5, self.only_second_fails.saturating_add(self.only_first_fails)).map_or(f64::NAN, |chance| chance.sf(below))
     }
 
     /// Whether the second controller is worse by a test that finds so with a probability of at most `significance` where it is not.

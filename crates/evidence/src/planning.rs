@@ -2,29 +2,29 @@
 
 use std::time::{Duration, Instant};
 
-use crumple_verify::rate::MOST_RUNS;
+use crumple_verify::rate::MAX_RUNS;
 
 use super::record::upper_bound;
-use super::{CountedBlock, RateError, RatePlan, Tally, binomial};
+use super::{CountedBlock, RateError, RatePlan, CountTally, binomial};
 
 /// Why no number of runs does.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SampleSizeError {
     /// The rate.
-    #[error("rate: must be above 0 and below 1, found {}", short(*found))]
+    #[error("rate: must be above 0 and below 1, found {}", format_compact(*found))]
     Rate {
         /// What was asked for.
         found: f64,
     },
     /// Confidence.
-    #[error("confidence: must be above 0.5 and below 1, found {}", short(*found))]
+    #[error("confidence: must be above 0.5 and below 1, found {}", format_compact(*found))]
     Confidence {
         /// What was asked for.
         found: f64,
     },
     /// It would take too many.
-    #[error("a rate of {} with {failures} failures would take more than {MOST_RUNS} runs", short(*rate))]
+    #[error("a rate of {} with {failures} failures would take more than {MAX_RUNS} runs", format_compact(*rate))]
     TooMany {
         /// The rate that was asked for.
         rate: f64,
@@ -52,12 +52,12 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     if !(confidence > 0.5 && confidence < 1.0) {
         return Err(SampleSizeError::Confidence { found: confidence });
     }
-    let suffices = |runs: u64| binomial::upper(failures, runs, 1.0 - confidence) <= rate;
+    let suffices = |runs: u64| binomial::clopper_pearson_upper(failures, runs, 1.0 - confidence) <= rate;
     let too_many = SampleSizeError::TooMany { rate, failures };
-    if failures >= MOST_RUNS || !suffices(MOST_RUNS) {
+    if failures >= MAX_RUNS || !suffices(MAX_RUNS) {
         return Err(too_many);
     }
-    let (mut low, mut high) = (failures, MOST_RUNS);
+    let (mut low, mut high) = (failures, MAX_RUNS);
     while high - low > 1 {
         let middle = low + (high - low) / 2;
         if suffices(middle) { high = middle } else { low = middle }
@@ -66,7 +66,7 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     let mut step = 1;
     while upper_bound(failures, high, confidence) > rate {
         (high, step) = (high + step, 2 * step);
-        if high > MOST_RUNS {
+        if high > MAX_RUNS {
             return Err(too_many);
         }
     }
@@ -82,9 +82,9 @@ impl RatePlan {
     pub fn runs_per_second(&self, during: Duration) -> Result<f64, RateError> {
         let measured = || {
             let (begun, mut runs) = (Instant::now(), 0);
-            for block in 0..self.blocks() {
-                self.count_again(block)?;
-                let made = self.runs_of(block);
+            for block in 0..self.block_count() {
+                self.recount_block(block)?;
+                let made = self.run_range(block);
                 runs += made.end - made.start;
                 if begun.elapsed() >= during {
                     break;
@@ -99,18 +99,18 @@ impl RatePlan {
     #[must_use]
     pub fn estimated_bytes(&self, shards: u32) -> u64 {
         let length = |blocks: Vec<CountedBlock>| {
-            serde_json::to_string_pretty(&Tally { blocks, ..self.tally() }).map_or(0, |text| text.len() as u64)
+            serde_json::to_string_pretty(&CountTally { blocks, ..self.empty_tally() }).map_or(0, |text| text.len() as u64)
         };
         let record = serde_json::to_string_pretty(self.record()).map_or(0, |text| text.len() as u64);
-        let block = CountedBlock { failures: 10, sha256: self.tally().registration_sha256, ..CountedBlock::default() };
+        let block = CountedBlock { failures: 10, sha256: self.empty_tally().registration_sha256, ..CountedBlock::default() };
         let a_block = length(vec![block]).saturating_sub(length(Vec::new()));
-        u64::from(shards) * (record + length(Vec::new()) + MANIFEST) + self.blocks() * a_block
+        u64::from(shards) * (record + length(Vec::new()) + MANIFEST_BYTES) + self.block_count() * a_block
     }
 
     /// The most shards that it can be divided into.
     #[must_use]
     pub fn max_shards(&self) -> u32 {
-        u32::try_from(self.blocks()).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
+        u32::try_from(self.block_count()).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
     }
 }
 

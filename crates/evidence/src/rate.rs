@@ -3,19 +3,19 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use crumple_verify::rate::MOST_RUNS;
+use crumple_verify::rate::MAX_RUNS;
 use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
-use super::block::{CountedBlock, Ending};
-use super::exposure::{ExposedRate, Part, FailureProbability, run_again};
-use super::record::{CountRecord, Tally, length};
+use super::block::{CountedBlock, RunFingerprint};
+use super::exposure::{RatePerExposure, Part, FailureProbability, count_on_resamples};
+use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{Counter, Observer, Progress, Quiet, Stopped};
-use crumple_store::shard::{Shard, TooManyShards};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Quiet, Stopped};
+use crumple_store::shard::{ShardId, TooManyShards};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::space::{Space, file};
+use crumple_world::scenario::space::{ScenarioSpace, file};
 use crumple_world::sim::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
@@ -29,7 +29,7 @@ const MAX_BLOCKS: u64 = 1000;
 /// ... but for more runs than this, which no machine counts alone, ...
 const LARGE_COUNT_RUNS: u64 = 100_000_000;
 /// ... of which there are so many blocks, as many as a certificate may hold.
-const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MOST_BLOCKS;
+const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MAX_BLOCKS;
 
 /// Progress of a count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +45,7 @@ pub struct CountProgress {
 /// What is to be counted: one controller, or two on the same draws.
 pub struct RatePlan {
     controllers: Vec<NamedController>,
-    space: Space,
+    space: ScenarioSpace,
     seed: u64,
     estimator: EstimatorKind,
     /// Resamples of the episodes that the space was fitted to, and new runs in each.
@@ -63,7 +63,7 @@ pub struct RateConfig {
     /// A second controller, to compare the first with.
     pub against: Option<NamedController>,
     /// What runs are drawn from.
-    pub space: Space,
+    pub space: ScenarioSpace,
     /// Seed of all draws.
     pub seed: u64,
     /// What the vehicles under test look through.
@@ -77,7 +77,7 @@ pub struct RateConfig {
 impl RateConfig {
     /// Configures a count of one controller through the Kalman filter, with seed 0 and a confidence of 0.99.
     #[must_use]
-    pub fn new(controller: impl Into<NamedController>, space: Space, runs: u64) -> Self {
+    pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace, runs: u64) -> Self {
         let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
         Self { controller, against: None, space, seed: 0, estimator, runs, confidence: 0.99 }
     }
@@ -88,7 +88,7 @@ impl RateConfig {
 #[non_exhaustive]
 pub enum InvalidRate {
     /// Number of runs.
-    #[error("runs: must be from 1 to {MOST_RUNS}, found {found}")]
+    #[error("runs: must be from 1 to {MAX_RUNS}, found {found}")]
     Runs {
         /// What was asked for.
         found: u64,
@@ -173,7 +173,7 @@ impl RatePlan {
     /// ```
     pub fn new(parts: RateConfig) -> Result<Self, InvalidRate> {
         let RateConfig { controller, against, space, seed, estimator, runs, confidence } = parts;
-        if !(1..=MOST_RUNS).contains(&runs) {
+        if !(1..=MAX_RUNS).contains(&runs) {
             return Err(InvalidRate::Runs { found: runs });
         }
         if !(confidence > 0.5 && confidence < 1.0) {
@@ -181,7 +181,7 @@ impl RatePlan {
         }
         // A nominal scenario that is none says so when the first run is drawn.
         if space.scenario(&space.nominal()).is_ok_and(|nominal| !nominal.has_vehicle_under_test()) {
-            return Err(InvalidRate::NobodyUnderTest { space: space.name().to_owned() });
+            return Err(InvalidRate::NoVehicleUnderTest { space: space.name().to_owned() });
         }
         let drivers: Vec<NamedController> = std::iter::once(controller).chain(against).collect();
         if let Some(unknown) = drivers.iter().find(|driver| driver.kind.identity().is_none()) {
@@ -189,7 +189,7 @@ impl RatePlan {
         }
         let space_text = file::to_toml(&space)?;
         let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
-        let failure = drivers.iter().map(NamedController::failure).max().unwrap_or_default();
+        let failure = drivers.iter().map(NamedController::failure_description).max().unwrap_or_default();
         let mut configuration = BTreeMap::from([
             ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("estimator".to_owned(), estimator.name().to_owned()),
@@ -208,11 +208,11 @@ impl RatePlan {
                 configuration.insert(format!("{place}_policy_sha256"), policy.digest());
             }
         }
-        let blocks = if runs > LARGE_COUNT_RUNS { MAX_LARGE_COUNT_BLOCKS } else { MOST_BLOCKS };
+        let blocks = if runs > LARGE_COUNT_RUNS { MAX_LARGE_COUNT_BLOCKS } else { MAX_BLOCKS };
         let block_runs = runs.div_ceil(blocks).max(MIN_BLOCK_RUNS);
         let registration = Registration { configuration, runs, confidence, block_runs: Some(block_runs) };
         let record = CountRecord { registration, space_text };
-        Ok(Self { drivers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
+        Ok(Self { controllers: drivers, space, seed, estimator, resampling: DEFAULT_RESAMPLING, record })
     }
 
     /// Sets the number of resamples of the episodes that the space was fitted to, and the number of new runs in each. They say nothing about
@@ -243,16 +243,16 @@ impl RatePlan {
 
     /// Nothing counted yet.
     #[must_use]
-    pub fn empty_tally(&self) -> Tally {
-        self.record.tally()
+    pub fn empty_tally(&self) -> CountTally {
+        self.record.empty_tally()
     }
 
     /// Makes the next runs, some blocks of them, and adds them to `tally`; nothing once all are made.
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; `tally` is then as it was.
-    pub fn count_batch(&self, tally: &mut Tally) -> Result<(), RateError> {
-        self.count_batch_in(&(0..self.blocks()), tally, &Quiet)
+    pub fn count_batch(&self, tally: &mut CountTally) -> Result<(), RateError> {
+        self.count_batch_in(&(0..self.block_count()), tally, &Quiet)
     }
 
     /// Counts as [`Self::count_batch`] does, for a tally of consecutive blocks. After every thousand runs, `observer` receives the counts
@@ -263,16 +263,16 @@ impl RatePlan {
     pub(super) fn count_batch_in(
         &self,
         part: &Range<u64>,
-        tally: &mut Tally,
+        tally: &mut CountTally,
         observer: &dyn Observer<CountProgress>,
     ) -> Result<(), RateError> {
         let so_far = self.progress(tally);
         let first = part.start + tally.blocks.len() as u64;
-        let together = (TOGETHER / self.record.block_runs()).max(1);
+        let together = (BATCH_SIZE / self.record.block_runs()).max(1);
         let blocks = first..first.saturating_add(together).min(part.end);
-        let counted = self.count(self.record.runs_of(blocks.clone()), &|| observer.notify(&so_far))?;
+        let counted = self.count_runs(self.record.run_range(blocks.clone()), &|| observer.notify(&so_far))?;
         for (index, block) in blocks.zip(counted) {
-            tally.add(length(&self.runs_of(index)), block);
+            tally.add_block(range_len(&self.run_range(index)), block);
         }
         Ok(())
     }
@@ -281,30 +281,30 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`TooManyShards`] if there are fewer blocks than shards.
-    pub fn shard_blocks(&self, shard: Shard) -> Result<Range<u64>, TooManyShards> {
-        shard.range(self.blocks(), "blocks of runs")
+    pub fn shard_blocks(&self, shard: ShardId) -> Result<Range<u64>, TooManyShards> {
+        shard.range(self.block_count(), "blocks of runs")
     }
 
     /// Returns the progress that a tally stands for.
-    pub(super) fn progress(&self, tally: &Tally) -> CountProgress {
-        CountProgress { runs: tally.runs, failures: tally.failed(), total: self.registration().runs }
+    pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {
+        CountProgress { runs: tally.runs, failures: tally.failed_runs(), total: self.registration().runs }
     }
 
     /// Whether it is of one controller.
     pub(super) fn has_single_controller(&self) -> bool {
-        self.drivers.len() == 1
+        self.controllers.len() == 1
     }
 
     /// How many blocks there are.
     #[must_use]
     pub fn block_count(&self) -> u64 {
-        self.record.blocks()
+        self.record.block_count()
     }
 
     /// The runs of a block.
     #[must_use]
     pub fn run_range(&self, block: u64) -> Range<u64> {
-        self.record.runs_of(block..block.saturating_add(1))
+        self.record.run_range(block..block.saturating_add(1))
     }
 
     /// Makes the runs of a block, whatever was made before.
@@ -312,15 +312,15 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the draw that could not be run.
     pub fn recount_block(&self, block: u64) -> Result<CountedBlock, RateError> {
-        Ok(self.count(self.runs_of(block), &|| Ok(()))?.pop().unwrap_or_default())
+        Ok(self.count_runs(self.run_range(block), &|| Ok(()))?.pop().unwrap_or_default())
     }
 
     /// Counts runs, the first of which begins a block: a count for each block. Calls `go_on` after every thousand runs.
     fn count_runs(&self, runs: Range<u64>, go_on: &dyn Fn() -> Result<(), Stopped>) -> Result<Vec<CountedBlock>, RateError> {
         let indices: Vec<u64> = runs.collect();
-        let mut endings: Vec<Vec<Ending>> = self.drivers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
-        for some in indices.chunks(TOGETHER as usize) {
-            for (all, mut more) in endings.iter_mut().zip(self.endings(&self.space, self.seed, some)?) {
+        let mut endings: Vec<Vec<RunFingerprint>> = self.controllers.iter().map(|_| Vec::with_capacity(indices.len())).collect();
+        for some in indices.chunks(BATCH_SIZE as usize) {
+            for (all, mut more) in endings.iter_mut().zip(self.simulate_fingerprints(&self.space, self.seed, some)?) {
                 all.append(&mut more);
             }
             go_on()?;
@@ -329,8 +329,8 @@ impl RatePlan {
         let places: Vec<usize> = (0..indices.len()).collect();
         let counted = places.chunks(self.record.block_runs() as usize).map(|places| {
             let first = places.first().and_then(|&place| indices.get(place)).copied().unwrap_or_default();
-            let of_run = |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&Ending>>();
-            CountedBlock::of(&registered, first, places.iter().map(of_run))
+            let of_run = |&place: &usize| endings.iter().filter_map(|of| of.get(place)).collect::<Vec<&RunFingerprint>>();
+            CountedBlock::from_runs(&registered, first, places.iter().map(of_run))
         });
         Ok(counted.collect())
     }
@@ -340,40 +340,40 @@ impl RatePlan {
     ///
     /// # Errors
     /// [`RateError`] names the draw that could not be run; [`RateError::Stopped`] if `observer` stops the runs in resamples.
-    pub fn rate_per_exposure(&self, tally: &Tally, observer: &dyn Observer<Progress>) -> Result<Option<ExposedRate>, RateError> {
-        let counter = Counter::new(observer, None);
+    pub fn rate_per_exposure(&self, tally: &CountTally, observer: &dyn Observer<RunProgress>) -> Result<Option<RatePerExposure>, RateError> {
+        let counter = ProgressCounter::new(observer, None);
         let Some(resampling) = self.resampling() else { return Ok(None) };
-        let mut failures = |space: &Space, seed: u64, runs: u64| self.failures(space, (seed, runs), &counter);
-        let resamples = run_again(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
+        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| self.count_failures(space, (seed, runs), &counter);
+        let resamples = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
-        Ok(ExposedRate::of(&self.space, known, resamples.as_ref()))
+        Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
     }
 
     /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
-    pub(super) fn count_resamples(&self, own: Range<u64>, counter: &Counter<'_>) -> Result<Vec<u64>, RateError> {
+    pub(super) fn count_resamples(&self, own: Range<u64>, counter: &ProgressCounter<'_>) -> Result<Vec<u64>, RateError> {
         let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
         let mut part = Part::of(own);
         let mut failures =
-            |space: &Space, seed: u64, runs: u64| part.next(0, || self.failures(space, (seed, runs), counter));
+            |space: &ScenarioSpace, seed: u64, runs: u64| part.next(0, || self.count_failures(space, (seed, runs), counter));
         // Why nothing can be resampled is said by who puts the parts together.
-        let _ = run_again(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
+        let _ = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         Ok(part.found())
     }
 
     /// How many of so many runs fail in a space, with a seed.
-    fn count_failures(&self, space: &Space, (seed, runs): (u64, u64), counter: &Counter<'_>) -> Result<u64, RateError> {
+    fn count_failures(&self, space: &ScenarioSpace, (seed, runs): (u64, u64), counter: &ProgressCounter<'_>) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
         let mut failed = 0;
-        for some in indices.chunks(TOGETHER as usize) {
-            let endings = self.endings(space, seed, some)?;
-            failed += endings.iter().flatten().filter(|ending| ending.failed()).count() as u64;
+        for some in indices.chunks(BATCH_SIZE as usize) {
+            let endings = self.simulate_fingerprints(space, seed, some)?;
+            failed += endings.iter().flatten().filter(|ending| ending.is_failure()).count() as u64;
             counter.add(some.len() as u64)?;
         }
         Ok(failed)
     }
 
     /// How runs end, of each controller.
-    fn simulate_fingerprints(&self, space: &Space, seed: u64, indices: &[u64]) -> Result<Vec<Vec<Ending>>, RateError> {
+    fn simulate_fingerprints(&self, space: &ScenarioSpace, seed: u64, indices: &[u64]) -> Result<Vec<Vec<RunFingerprint>>, RateError> {
         let draw = |&index: &u64| space.draw(seed, index).map_err(|source| RateError::Draw { index, source });
         let scenarios = indices.par_iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let endings = |driver: &NamedController| {
@@ -382,16 +382,16 @@ impl RatePlan {
                 Run::new(scenario, options.clone()).map_err(|source| RateError::Run { index, source })
             });
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| Ending::of(&result)))
+            Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| RunFingerprint::new(&result)))
         };
-        let endings = self.drivers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
-        self.drivers.iter().try_for_each(NamedController::ensure_trusted)?;
+        let endings = self.controllers.iter().map(endings).collect::<Result<Vec<_>, RateError>>()?;
+        self.controllers.iter().try_for_each(NamedController::ensure_trusted)?;
         Ok(endings)
     }
 
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
     #[must_use]
-    pub fn certificate(&self, tally: &Tally) -> Certificate {
+    pub fn certificate(&self, tally: &CountTally) -> Certificate {
         self.record.certificate(tally)
     }
 }

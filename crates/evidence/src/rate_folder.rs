@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 use crumple_verify::{Certificate, Rejection, check};
 use serde::Serialize;
 
-use super::record::{CountRecord, Tally, length};
+use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RateError, RatePlan};
-use crumple_core::observer::{Counter, Observer};
+use crumple_core::observer::{ProgressCounter, Observer};
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::shard::TooManyShards;
-use crumple_store::work::{Asked, Work, WorkError};
+use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
 
 /// Work that may be lost when a count is interrupted: writing progress down costs milliseconds.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
@@ -25,7 +25,7 @@ const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 pub enum RateFolderError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// Another count is registered in the folder: in what it differs.
     #[error("{0}")]
     OtherRegistration(String),
@@ -49,7 +49,7 @@ pub enum RateFolderError {
 
 /// A count that is on record in a folder.
 pub struct RateCount<'a> {
-    run_folder: Work,
+    run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
 }
 
@@ -57,7 +57,7 @@ pub struct RateCount<'a> {
 pub(super) struct BlockCounter<'a> {
     plan: &'a RatePlan,
     blocks: Range<u64>,
-    tally: Tally,
+    tally: CountTally,
 }
 
 const REGISTRATION_FILE: &str = "registration.json";
@@ -72,25 +72,25 @@ impl RatePlan {
     /// [`RateFolderError`] if the folder cannot be used, or holds another count, or another build's.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let work = self.record().register_in(folder, resume)?;
-        let counting = BlockCounter::in_folder(self, 0..self.blocks(), &work)?;
-        Ok(RateCount { work, counting })
+        let counting = BlockCounter::load(self, 0..self.block_count(), &work)?;
+        Ok(RateCount { run_folder: work, block_counter: counting })
     }
 }
 
 impl CountRecord {
     /// Puts it on record.
-    fn register_in(&self, folder: &Path, resume: bool) -> Result<Work, RateFolderError> {
+    fn register_in(&self, folder: &Path, resume: bool) -> Result<RunFolder, RateFolderError> {
         let path = folder.join(REGISTRATION_FILE);
-        let registration = json(&path, self.registration())?;
-        let asked = Asked {
+        let registration = to_json(&path, self.registration())?;
+        let asked = RunFolderOptions {
             kind: "count",
             configuration: &registration,
             configuration_file: REGISTRATION_FILE,
             resume,
-            outputs: &[REGISTRATION_FILE, PROGRESS, CERTIFICATE_FILE],
+            outputs: &[REGISTRATION_FILE, PROGRESS_FILE, CERTIFICATE_FILE],
         };
-        let work = Work::open(folder, asked).map_err(|error| match error {
-            WorkError::OtherConfiguration { path, kind, found } => {
+        let work = RunFolder::open(folder, asked).map_err(|error| match error {
+            RunFolderError::OtherConfiguration { path, kind, found } => {
                 RateFolderError::OtherRegistration(difference::describe_json(&path, &kind, &found, &registration))
             }
             other => other.into(),
@@ -100,19 +100,19 @@ impl CountRecord {
     }
 
     /// Writes what was counted of all runs, and the certificate if the checker accepts it.
-    fn finish_in(&self, work: &Work, tally: &Tally) -> Result<Certificate, RateFolderError> {
-        let path = work.path(PROGRESS);
-        work.write(PROGRESS, json(&path, tally)?)?;
+    fn finish_in(&self, work: &RunFolder, tally: &CountTally) -> Result<Certificate, RateFolderError> {
+        let path = work.path(PROGRESS_FILE);
+        work.write(PROGRESS_FILE, to_json(&path, tally)?)?;
         let certificate = self.certificate(tally);
         let checked = check(&certificate);
         if checked.is_ok() {
-            work.write(CERTIFICATE_FILE, json(&work.path(CERTIFICATE_FILE), &certificate)?)?;
+            work.write(CERTIFICATE_FILE, to_json(&work.path(CERTIFICATE_FILE), &certificate)?)?;
         }
         // Also where nothing is shown: all is counted.
         work.finish()?;
         match checked {
             Ok(_) => Ok(certificate),
-            Err(rejection) => Err(RateFolderError::Rejected { path, counts: tally.words(self.is_of_two()), rejection }),
+            Err(rejection) => Err(RateFolderError::Rejected { path, counts: tally.summary(self.is_comparison()), rejection }),
         }
     }
 
@@ -121,11 +121,11 @@ impl CountRecord {
     ///
     /// # Errors
     /// [`RateFolderError`] if the folder cannot be used, holds other work or other counts, or nothing is shown.
-    pub(super) fn write_in(&self, folder: &Path, tally: &Tally) -> Result<(PathBuf, Certificate), RateFolderError> {
+    pub(super) fn write_in(&self, folder: &Path, tally: &CountTally) -> Result<(PathBuf, Certificate), RateFolderError> {
         let work = self.register_in(folder, true)?;
-        let path = work.path(PROGRESS);
-        if work.is_complete() && work.read_required(PROGRESS)? != json(&path, tally)?.into_bytes() {
-            return Err(WorkError::damaged(
+        let path = work.path(PROGRESS_FILE);
+        if work.is_complete() && work.read_required(PROGRESS_FILE)? != to_json(&path, tally)?.into_bytes() {
+            return Err(RunFolderError::damaged(
                 &path,
                 "there is a count of the same registration that came to something else",
             )
@@ -137,14 +137,14 @@ impl CountRecord {
 
 impl<'a> BlockCounter<'a> {
     /// What is left of some blocks of a plan, after what is in a folder.
-    pub(super) fn load(plan: &'a RatePlan, blocks: Range<u64>, work: &Work) -> Result<Self, RateFolderError> {
-        let tally = match work.read(PROGRESS)? {
-            None => plan.tally(),
+    pub(super) fn load(plan: &'a RatePlan, blocks: Range<u64>, work: &RunFolder) -> Result<Self, RateFolderError> {
+        let tally = match work.read(PROGRESS_FILE)? {
+            None => plan.empty_tally(),
             Some(bytes) => {
-                let tally: Tally = serde_json::from_slice(&bytes)
-                    .map_err(|problem| WorkError::damaged(&work.path(PROGRESS), problem.to_string()))?;
-                if !plan.record().is_sound(&blocks, &tally) {
-                    return Err(WorkError::damaged(&work.path(PROGRESS), "not of this registration").into());
+                let tally: CountTally = serde_json::from_slice(&bytes)
+                    .map_err(|problem| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string()))?;
+                if !plan.record().is_consistent(&blocks, &tally) {
+                    return Err(RunFolderError::damaged(&work.path(PROGRESS_FILE), "not of this registration").into());
                 }
                 tally
             }
@@ -153,45 +153,45 @@ impl<'a> BlockCounter<'a> {
     }
 
     /// What has been counted so far.
-    pub(super) fn tally(&self) -> &Tally {
+    pub(super) fn tally(&self) -> &CountTally {
         &self.tally
     }
 
     /// How many runs there are to count, those that were counted among them.
     pub(super) fn run_count(&self) -> u64 {
-        length(&self.plan.record().runs_of(self.blocks.clone()))
+        range_len(&self.plan.record().run_range(self.blocks.clone()))
     }
 
     /// How many new runs there are to make in some of the resamples.
     pub(super) fn resample_run_count(&self, resamples: &Range<u64>) -> u64 {
         let (_, runs_each) = self.plan.resampling().unwrap_or_default();
-        length(resamples) * u64::from(runs_each)
+        range_len(resamples) * u64::from(runs_each)
     }
 
     /// Makes new runs in some of the resamples, and keeps what they come to.
     pub(super) fn resample(
         &mut self,
-        work: &Work,
+        work: &RunFolder,
         own: Range<u64>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<(), RateFolderError> {
-        self.tally.resampled = self.plan.resampled(own, counter)?;
-        Ok(work.write(PROGRESS, json(&work.path(PROGRESS), &self.tally)?)?)
+        self.tally.resample_failures = self.plan.count_resamples(own, counter)?;
+        Ok(work.write(PROGRESS_FILE, to_json(&work.path(PROGRESS_FILE), &self.tally)?)?)
     }
 
     /// Counts what is left, and keeps it in the folder.
-    pub(super) fn count(&mut self, work: &Work, observer: &dyn Observer<CountProgress>) -> Result<(), RateFolderError> {
-        let path = work.path(PROGRESS);
+    pub(super) fn count(&mut self, work: &RunFolder, observer: &dyn Observer<CountProgress>) -> Result<(), RateFolderError> {
+        let path = work.path(PROGRESS_FILE);
         let mut written = Instant::now();
-        while (self.tally.blocks.len() as u64) < length(&self.blocks) {
+        while (self.tally.blocks.len() as u64) < range_len(&self.blocks) {
             self.plan.count_batch_in(&self.blocks, &mut self.tally, observer)?;
-            if written.elapsed() > BETWEEN {
-                work.write(PROGRESS, json(&path, &self.tally)?)?;
+            if written.elapsed() > WRITE_INTERVAL {
+                work.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?;
                 written = Instant::now();
             }
         }
         observer.notify(&self.plan.progress(&self.tally)).map_err(RateError::from)?;
-        Ok(work.write(PROGRESS, json(&path, &self.tally)?)?)
+        Ok(work.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?)
     }
 }
 
@@ -201,24 +201,24 @@ impl RateCount<'_> {
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or nothing is shown; and [`RateError::Stopped`].
     pub fn certify(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
-        self.counting.count(&self.work, observer)?;
-        self.counting.plan.record().finish_in(&self.work, self.tally())
+        self.block_counter.count(&self.run_folder, observer)?;
+        self.block_counter.plan.record().finish_in(&self.run_folder, self.tally())
     }
 
     /// What has been counted so far.
     #[must_use]
-    pub fn tally(&self) -> &Tally {
-        self.counting.tally()
+    pub fn tally(&self) -> &CountTally {
+        self.block_counter.tally()
     }
 
     /// Where the certificate goes.
     #[must_use]
     pub fn certificate_path(&self) -> PathBuf {
-        self.work.path(CERTIFICATE_FILE)
+        self.run_folder.path(CERTIFICATE_FILE)
     }
 }
 
-pub(super) fn to_json(path: &Path, value: &impl Serialize) -> Result<String, WorkError> {
+pub(super) fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError> {
     let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
     Ok(text + "\n")
 }

@@ -5,20 +5,20 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::exposure::own_resamples;
-use super::rate_folder::{BlockCounter, PROGRESS, RateFolderError};
-use super::record::{CountRecord, Tally, length};
+use super::exposure::resample_range;
+use super::rate_folder::{BlockCounter, PROGRESS_FILE, RateFolderError};
+use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RatePlan};
-use crumple_core::observer::{Counter, Observer, Progress};
-use crumple_store::shard::{Mergeable, Shard, Sharded, open_shard};
-use crumple_store::work::Work;
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress};
+use crumple_store::shard::{Mergeable, ShardId, Sharded, open_shard};
+use crumple_store::run_folder::RunFolder;
 
 /// What a folder of one is called in its `work.json`.
 pub const COUNT_SHARD_KIND: &str = "shard of a count";
 
 /// A shard of a count that is on record in a folder.
 pub struct RateShard<'a> {
-    run_folder: Work,
+    run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
     resample_range: Range<u64>,
 }
@@ -35,15 +35,15 @@ pub struct ShardedCount {
 impl Sharded for ShardedCount {
     const KIND: &'static str = COUNT_SHARD_KIND;
     const VERSION: u32 = 1;
-    const RESULTS: &'static str = PROGRESS;
-    const PARTS: &'static str = "blocks of runs";
+    const RESULTS_FILE: &'static str = PROGRESS_FILE;
+    const PARTS_NAME: &'static str = "blocks of runs";
     const IS_PRETTY: bool = true;
 
-    fn parts(&self) -> u64 {
-        self.count.blocks()
+    fn part_count(&self) -> u64 {
+        self.count.block_count()
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    fn differing_field(&self, other: &Self) -> Option<String> {
         let (own, foreign) = (self.count.registration(), other.count.registration());
         let keys = own.configuration.keys().chain(foreign.configuration.keys());
         let differs = |key: &&String| own.configuration.get(*key) != foreign.configuration.get(*key);
@@ -63,16 +63,16 @@ impl Sharded for ShardedCount {
 }
 
 impl Mergeable for ShardedCount {
-    type File = Tally;
-    type Results = Tally;
+    type File = CountTally;
+    type Results = CountTally;
 
-    fn check(&self, tally: Tally, shard: Shard, blocks: &Range<u64>) -> Result<Tally, String> {
+    fn check(&self, tally: CountTally, shard: ShardId, blocks: &Range<u64>) -> Result<CountTally, String> {
         let (resamples, runs_each) = self.resampling.unwrap_or_default();
-        let most = length(&own_resamples(resamples, blocks, self.parts()));
+        let most = range_len(&resample_range(resamples, blocks, self.part_count()));
         // There are fewer where no space could be fitted to some.
-        let may_be_resampled = tally.resampled.len() as u64 <= most
-            && tally.resampled.iter().all(|failures| *failures <= u64::from(runs_each));
-        match tally.blocks.len() as u64 == length(blocks) && self.count.is_sound(blocks, &tally) && may_be_resampled {
+        let may_be_resampled = tally.resample_failures.len() as u64 <= most
+            && tally.resample_failures.iter().all(|failures| *failures <= u64::from(runs_each));
+        match tally.blocks.len() as u64 == range_len(blocks) && self.count.is_consistent(blocks, &tally) && may_be_resampled {
             true => Ok(tally),
             false => Err(format!("not what shard {shard} of that count comes to")),
         }
@@ -86,17 +86,17 @@ impl RatePlan {
     /// [`RateFolderError`] if there are fewer blocks than shards, or the folder cannot be used, or holds something else.
     pub fn register_shard_in(
         &self,
-        shard: Shard,
+        shard: ShardId,
         folder: &Path,
         resume: bool,
     ) -> Result<RateShard<'_>, RateFolderError> {
         let blocks = self.shard_blocks(shard)?;
         let resampling = self.resampling();
-        let own_resamples = own_resamples(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.blocks());
+        let own_resamples = resample_range(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.block_count());
         let sharded = ShardedCount { count: self.record().clone(), resampling };
         let work = open_shard(&sharded, shard, folder, resume)?;
-        let counting = BlockCounter::in_folder(self, blocks, &work)?;
-        Ok(RateShard { work, counting, own_resamples })
+        let counting = BlockCounter::load(self, blocks, &work)?;
+        Ok(RateShard { run_folder: work, block_counter: counting, resample_range: own_resamples })
     }
 }
 
@@ -106,22 +106,22 @@ impl RateShard<'_> {
     ///
     /// # Errors
     /// [`RateFolderError`] if a run cannot be made, a file not written, or `observer` stops the shard.
-    pub fn count(&mut self, observer: &dyn Observer<Progress>) -> Result<(), RateFolderError> {
-        if self.work.is_complete() {
+    pub fn count(&mut self, observer: &dyn Observer<RunProgress>) -> Result<(), RateFolderError> {
+        if self.run_folder.is_complete() {
             return Ok(());
         }
-        let (counted, total) = (self.counting.runs(), Some(self.runs()));
-        let counting = |progress: &CountProgress| observer.observe(&Progress { done: progress.runs, total });
-        self.counting.count(&self.work, &counting)?;
-        let resampling = |progress: &Progress| observer.observe(&Progress { done: counted + progress.done, total });
-        self.counting.resample(&self.work, self.own_resamples.clone(), &Counter::new(&resampling, None))?;
-        Ok(self.work.finish()?)
+        let (counted, total) = (self.block_counter.run_count(), Some(self.run_count()));
+        let counting = |progress: &CountProgress| observer.observe(&RunProgress { done: progress.runs, total });
+        self.block_counter.count(&self.run_folder, &counting)?;
+        let resampling = |progress: &RunProgress| observer.observe(&RunProgress { done: counted + progress.done, total });
+        self.block_counter.resample(&self.run_folder, self.resample_range.clone(), &ProgressCounter::new(&resampling, None))?;
+        Ok(self.run_folder.finish()?)
     }
 
     /// What has been counted so far.
     #[must_use]
-    pub fn tally(&self) -> &Tally {
-        self.counting.tally()
+    pub fn tally(&self) -> &CountTally {
+        self.block_counter.tally()
     }
 
     #[cfg(test)]
@@ -132,6 +132,6 @@ impl RateShard<'_> {
     /// How many runs it takes, those in resamples among them.
     #[must_use]
     pub fn run_count(&self) -> u64 {
-        self.counting.runs() + self.counting.resample_run_count(&self.own_resamples)
+        self.block_counter.run_count() + self.block_counter.resample_run_count(&self.resample_range)
     }
 }

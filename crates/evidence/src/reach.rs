@@ -7,7 +7,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use crumple_verify::reach::{Actor, Cell, Dimension, Undecided, Ranges, Reach, Reached, Scene, file_name, reach};
+use crumple_verify::reach::{NeuralController, PartitionCell, BoxDimension, Undecided, InitialRanges, ReachClaim, ReachResult, ReachProblem, controller_file_name, reach};
 use crumple_verify::{Certificate, Interval, Rejection, Statement};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -16,13 +16,13 @@ use serde::{Deserialize, Serialize};
 use super::initial_set::InitialSet;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, Stopped};
-use crumple_search::worst_case::certificate_about;
+use crumple_search::worst_case::build_certificate;
 use crumple_world::control::InvalidMapping;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{
-    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in, built_in_names,
+    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario, built_in_scenario_names,
 };
 use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, simulate};
 
@@ -43,7 +43,7 @@ pub struct BoxSpec {
     /// A built-in scenario: a leader that brakes, a vehicle under test, and at most one follower, that drives with the baseline, idm or acc-aeb.
     pub scenario: String,
     /// Largest error of each of the eight numbers that are observed, in metres, m/s and m/s². Default: none to speak of.
-    #[serde(default = "exact")]
+    #[serde(default = "default_observation_error")]
     pub observation_error: [f64; 8],
     /// If given, the leader does not brake as the scenario's: over each step it accelerates at any rate from minus this to 0, in m/s², at
     /// another one at each, until it stands. It never speeds up. `ranges` then says nothing of its braking.
@@ -119,8 +119,8 @@ pub struct ReachPlan {
     texts: [String; 2],
     controller: ControllerKind,
     bytes: Vec<u8>,
-    actor: Actor,
-    claim: Reach,
+    actor: NeuralController,
+    claim: ReachClaim,
 }
 
 /// How much of the box is known once it is cut so often.
@@ -163,11 +163,11 @@ pub struct Partition {
 }
 
 struct PartitionNode {
-    ranges: Ranges,
-    cell: Cell,
+    ranges: InitialRanges,
+    cell: PartitionCell,
     /// Number of the lower half; the upper half is the next one.
     first_child: Option<usize>,
-    result: Option<Reached>,
+    result: Option<ReachResult>,
 }
 
 impl BoxSpec {
@@ -179,7 +179,7 @@ impl BoxSpec {
             version: 1,
             about,
             scenario,
-            observation_error: exact(),
+            observation_error: default_observation_error(),
             leader_brakes_at_most_mps2: None,
             follower_drives: None,
             ranges,
@@ -211,8 +211,8 @@ impl ReachPlan {
     /// what no vehicle can do.
     pub fn new(controller: impl Into<ControllerKind>, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let controller = controller.into();
-        let scenario = built_in(&spec.scenario).ok_or_else(|| {
-            let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+        let scenario = built_in_scenario(&spec.scenario).ok_or_else(|| {
+            let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
             InvalidBox::field(
                 "scenario",
                 format!("must be a built-in one ({}), found `{}`", known.join(", "), spec.scenario),
@@ -221,18 +221,18 @@ impl ReachPlan {
         if let Some(driver) = &spec.follower_drives {
             // What is wrong with its settings is told by who knows them.
             let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
-            scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(of_start)?;
+            scenario.edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives)).map_err(map_invalid_start)?;
         }
         let starts = InitialSet::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple's own or a network".to_owned()))?;
-        let actor = Actor::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
-        if !starts.allows(actor.action_mps2) {
-            return Err(excessive_command_error(actor.action_mps2, starts.able_mps2(), &controller));
+        let actor = NeuralController::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
+        if !starts.can_execute(actor.action_bounds_mps2) {
+            return Err(excessive_command_error(actor.action_bounds_mps2, starts.accel_limits_mps2(), &controller));
         }
         let digest = sha256(&bytes);
-        let claim = Reach {
-            policy_file: file_name(&digest, actor.source.is_some()),
+        let claim = ReachClaim {
+            policy_file: controller_file_name(&digest, actor.source.is_some()),
             policy_sha256: digest,
             source: actor.source.clone(),
             step_s: starts.step_s,
@@ -247,12 +247,12 @@ impl ReachPlan {
             falsified_share_at_least: 0.0,
             min_gap_m_at_least: 0.0,
         };
-        claim.scene(&actor).map_err(of_rejected)?;
+        claim.problem(&actor).map_err(map_rejection)?;
         let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
         let follower_drives = spec.follower_drives.clone();
         let plan = Self { scenario, follower_drives, texts, controller, bytes, actor, claim };
         // Whatever else is wrong with a start shows here.
-        plan.touches(&[0.5; 8])?;
+        plan.has_contact_at(&[0.5; 8])?;
         Ok(plan)
     }
 
@@ -274,31 +274,31 @@ impl ReachPlan {
     /// [`InvalidBox`] if a start of the box is no scenario, or `observer` stops the work.
     pub fn partition(&self, depth: u32, observer: &dyn Observer<VolumeShares>) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
-        let mut scene = self.claim.scene(&self.actor).map_err(of_rejected)?;
-        scene.stop_at_doubt = true;
-        let mut nodes = vec![PartitionNode { ranges: self.claim.ranges, cell: Cell::Undecided, halves: None, reached: None }];
+        let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
+        scene.stop_when_undecided = true;
+        let mut nodes = vec![PartitionNode { ranges: self.claim.ranges, cell: PartitionCell::Undecided, first_child: None, result: None }];
         let mut due = vec![0_usize];
         let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
         for level in 0..=depth {
-            let bound = |&node: &usize| reach(&Scene { ranges: nodes[node].ranges, ..scene.clone() });
-            let found: Vec<Reached> = due.par_iter().map(bound).collect();
+            let bound = |&node: &usize| reach(&ReachProblem { ranges: nodes[node].ranges, ..scene.clone() });
+            let found: Vec<ReachResult> = due.par_iter().map(bound).collect();
             let volume = 0.5_f64.powi(level as i32);
             let mut next = Vec::new();
             for (&node, reached) in due.iter().zip(found) {
-                nodes[node].reached = Some(reached);
-                if reached.doubt.is_none() {
-                    nodes[node].cell = Cell::Verified;
+                nodes[node].result = Some(reached);
+                if reached.undecided.is_none() {
+                    nodes[node].cell = PartitionCell::Verified;
                     verified += volume;
                     gap_m = gap_m.min(reached.gaps_m[0]).min(reached.gaps_m[1]);
                 } else if level < depth
                     && nodes.len() + 1 < MAX_BOXES
-                    && let Some((dimension, halves)) = cut(&nodes[node].ranges, &reached)
+                    && let Some((dimension, halves)) = choose_cut(&nodes[node].ranges, &reached)
                 {
-                    nodes[node].cell = Cell::Cut(dimension);
-                    nodes[node].halves = Some(nodes.len());
+                    nodes[node].cell = PartitionCell::Cut(dimension);
+                    nodes[node].first_child = Some(nodes.len());
                     for ranges in halves {
                         next.push(nodes.len());
-                        nodes.push(PartitionNode { ranges, cell: Cell::Undecided, halves: None, reached: None });
+                        nodes.push(PartitionNode { ranges, cell: PartitionCell::Undecided, first_child: None, result: None });
                     }
                 }
             }
@@ -312,24 +312,24 @@ impl ReachPlan {
             due = next;
         }
         self.falsify(&scene, &mut nodes)?;
-        Ok(self.concluded(&nodes, shares, gap_m, begin))
+        Ok(self.build_partition(&nodes, shares, gap_m, begin))
     }
 
     /// Looks for starts that end in contact in whatever is undecided.
-    fn falsify(&self, scene: &Scene<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
-        let undecided: Vec<usize> = (0..nodes.len()).filter(|&node| nodes[node].cell == Cell::Undecided).collect();
+    fn falsify(&self, scene: &ReachProblem<'_>, nodes: &mut [PartitionNode]) -> Result<(), InvalidBox> {
+        let undecided: Vec<usize> = (0..nodes.len()).filter(|&node| nodes[node].cell == PartitionCell::Undecided).collect();
         let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
-            let mut stream = random::stream(0, Purpose::ScenarioDraw, node as u64);
+            let mut stream = random::stream(0, Purpose::ScenarioSampling, node as u64);
             let ranges = &nodes[node].ranges;
-            for start in 0..=STARTS {
+            for start in 0..=SAMPLES_PER_BOX {
                 let mut place: [f64; 8] = std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
                 if scene.leader_brakes_at_most_mps2.is_some() {
                     // Of leaders that brake as they like, one at the limit.
-                    place[Dimension::LeaderBrakeMps2 as usize] = 1.0;
+                    place[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
                 }
-                let cell = Scene { ranges: *ranges, ..scene.clone() };
-                let point = within(&cell.scripts(), &place);
-                if self.contact(&point)? && cell.at(&point).is_some_and(|scene| reach(&scene).touches) {
+                let cell = ReachProblem { ranges: *ranges, ..scene.clone() };
+                let point = interpolate(&cell.scripted_ranges(), &place);
+                if self.has_contact(&point)? && cell.at_point(&point).is_some_and(|scene| reach(&scene).surely_collides) {
                     return Ok(Some(point));
                 }
             }
@@ -338,7 +338,7 @@ impl ReachPlan {
         let found = undecided.par_iter().map(search).collect::<Result<Vec<_>, _>>()?;
         for (node, point) in undecided.into_iter().zip(found) {
             if let Some(point) = point {
-                nodes[node].cell = Cell::Falsified(point);
+                nodes[node].cell = PartitionCell::Falsified(point);
             }
         }
         Ok(())
@@ -352,35 +352,35 @@ impl ReachPlan {
             let node = &nodes[number];
             partition.push(node.cell);
             match node.cell {
-                Cell::Cut(_) => pending.extend(node.halves.iter().flat_map(|&lower| [lower + 1, lower])),
-                Cell::Verified | Cell::Falsified(_) => {}
-                Cell::Undecided => match node.reached.and_then(|reached| reached.doubt) {
-                    Some(Undecided::MayTouch { pair: 0, .. }) => doubts.ahead += 1,
-                    Some(Undecided::MayTouch { .. }) => doubts.behind += 1,
+                PartitionCell::Cut(_) => pending.extend(node.first_child.iter().flat_map(|&lower| [lower + 1, lower])),
+                PartitionCell::Verified | PartitionCell::Falsified(_) => {}
+                PartitionCell::Undecided => match node.result.and_then(|reached| reached.undecided) {
+                    Some(Undecided::MayCollide { pair: 0, .. }) => doubts.ahead += 1,
+                    Some(Undecided::MayCollide { .. }) => doubts.behind += 1,
                     _ => doubts.too_wide += 1,
                 },
             }
         }
-        let mut claim = Reach {
+        let mut claim = ReachClaim {
             partition,
             // Whole micrometres: what another version rounds otherwise is still proved.
             min_gap_m_at_least: if gap_m.is_finite() { (gap_m * 1e6).floor() / 1e6 } else { 0.0 },
             ..self.claim.clone()
         };
         // As the checker will find them: volumes, rounded down where a cut was not one in equal halves.
-        let [verified, falsified] = claim.shares().unwrap_or_default();
+        let [verified, falsified] = claim.volume_shares().unwrap_or_default();
         (claim.verified_share_at_least, claim.falsified_share_at_least) = (verified, falsified);
         if let Some(last) = shares.last_mut() {
             (last.verified, last.falsified, last.undecided) = (verified, falsified, 1.0 - verified - falsified);
             last.seconds = begin.elapsed().as_secs_f64();
         }
         let ([scenario, starts], name) = (self.texts.clone(), self.scenario.spec().name.clone());
-        let certificate = certificate_about(name, Some(scenario), Some(starts), Statement::Reach(claim));
-        Partition { certificate, shares, doubts }
+        let certificate = build_certificate(name, Some(scenario), Some(starts), Statement::Reach(claim));
+        Partition { certificate, shares, undecided: doubts }
     }
 
     fn has_contact_at(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
-        self.contact(&within(&self.claim.ranges, place))
+        self.has_contact(&interpolate(&self.claim.ranges, place))
     }
 
     /// A start of the box as a scenario, in the order of the ranges.
@@ -404,7 +404,7 @@ impl ReachPlan {
                 }
             }
         });
-        scenario.map_err(of_start)
+        scenario.map_err(map_invalid_start)
     }
 
     /// Whether a start ends in contact in the simulator.
@@ -489,16 +489,16 @@ pub fn checker_file(controller: &ControllerKind) -> Result<Option<Vec<u8>>, Inva
 }
 
 /// The dimension that accounts for most of the doubt, of those that can be cut, and the halves.
-fn choose_cut(ranges: &Ranges, reached: &Reached) -> Option<(Dimension, [Ranges; 2])> {
-    let mut order: Vec<(f64, Dimension)> = reached.sensitivity.into_iter().zip(Dimension::ALL).collect();
+fn choose_cut(ranges: &InitialRanges, reached: &ReachResult) -> Option<(BoxDimension, [InitialRanges; 2])> {
+    let mut order: Vec<(f64, BoxDimension)> = reached.sensitivity.into_iter().zip(BoxDimension::ALL).collect();
     order.sort_by(|a, b| b.0.total_cmp(&a.0));
-    order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.halves(dimension)?)))
+    order.into_iter().find_map(|(_, dimension)| Some((dimension, ranges.bisect(dimension)?)))
 }
 
 /// The member at given places between the lower and upper ends.
-fn interpolate(ranges: &Ranges, place: &[f64; 8]) -> [f64; 8] {
+fn interpolate(ranges: &InitialRanges, place: &[f64; 8]) -> [f64; 8] {
     std::array::from_fn(|i| {
-        let range = ranges.get(Dimension::ALL[i]);
+        let range = ranges.get(BoxDimension::ALL[i]);
         (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
     })
 }

@@ -2,14 +2,14 @@
 
 use std::ops::Range;
 
-use crumple_verify::rate::{MOST_BLOCKS, MOST_RUNS, tail_at_most};
-use crumple_verify::{Certificate, Comparison, Rate, Registration, Statement};
+use crumple_verify::rate::{MAX_BLOCKS, MAX_RUNS, binomial_tail_upper_bound};
+use crumple_verify::{Certificate, ComparisonClaim, RateClaim, Registration, Statement};
 use serde::{Deserialize, Serialize};
 
 use super::{CountedBlock, binomial};
 use crumple_core::digest::sha256;
-use crumple_search::worst_case::certificate_about;
-use crumple_world::sim::Unanswered;
+use crumple_search::worst_case::build_certificate;
+use crumple_world::sim::FailedControllerRuns;
 
 /// What was fixed before the first run, and the space as a file: enough for the certificate of what was counted, wherever that was.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ pub struct CountTally {
     pub resample_failures: Vec<u64>,
 }
 
-impl Tally {
+impl CountTally {
     /// Runs that failed: of two controllers, those in which either did.
     #[must_use]
     pub fn failed_runs(&self) -> u64 {
@@ -51,11 +51,11 @@ impl Tally {
 
     /// Runs in which a controller gave no answer: of the one that is counted, or of the first of two, and of the second.
     #[must_use]
-    pub fn unanswered(&self) -> [Option<Unanswered>; 2] {
+    pub fn unanswered(&self) -> [Option<FailedControllerRuns>; 2] {
         let mut all = [None, None];
         for block in &self.blocks {
             let own = [&block.unanswered, &block.other_unanswered];
-            all.iter_mut().zip(own).for_each(|(all, own)| Unanswered::join(all, own.clone()));
+            all.iter_mut().zip(own).for_each(|(all, own)| FailedControllerRuns::merge(all, own.clone()));
         }
         all
     }
@@ -79,7 +79,7 @@ impl Tally {
     pub fn unanswered_summary(&self) -> String {
         let who = ["; the controller ", "; the other controller, whose runs then speak for neither, "];
         let words = who.into_iter().zip(self.unanswered());
-        words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.words(self.runs)))).collect()
+        words.filter_map(|(who, silent)| Some(format!("{who}{}", silent?.describe(self.runs)))).collect()
     }
 
     /// Adds the next block, of so many runs.
@@ -96,9 +96,9 @@ impl CountRecord {
     /// What is not right with one that was read from a file; nothing if a count may have it.
     pub(super) fn problem(&self) -> Option<&'static str> {
         let Registration { configuration, runs, confidence, block_runs } = &self.registration;
-        let is_count = (1..=MOST_RUNS).contains(runs) && *confidence > 0.5 && *confidence < 1.0;
+        let is_count = (1..=MAX_RUNS).contains(runs) && *confidence > 0.5 && *confidence < 1.0;
         let has_blocks =
-            block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MOST_BLOCKS);
+            block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MAX_BLOCKS);
         let space = configuration.get("space_sha256");
         match () {
             () if !is_count => Some("registration: no number of runs and confidence that a count may have"),
@@ -139,31 +139,31 @@ impl CountRecord {
 
     /// Nothing counted yet.
     #[must_use]
-    pub fn empty_tally(&self) -> Tally {
-        Tally { registration_sha256: self.registration.digest(), ..Tally::default() }
+    pub fn empty_tally(&self) -> CountTally {
+        CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
     }
 
     /// Whether a tally is of the first of some blocks, adds up, and counts no more runs than there are.
     #[must_use]
-    pub(super) fn is_consistent(&self, blocks: &Range<u64>, tally: &Tally) -> bool {
+    pub(super) fn is_consistent(&self, blocks: &Range<u64>, tally: &CountTally) -> bool {
         let counted = tally.blocks.len() as u64;
-        let runs_of = |block: u64| length(&self.runs_of(block..block.saturating_add(1)));
+        let runs_of = |block: u64| range_len(&self.run_range(block..block.saturating_add(1)));
         let may_be = |(block, counted): (u64, &CountedBlock)| {
             let CountedBlock { failures, only_first_failed: first, only_second_failed: second, sha256, .. } = counted;
             let is_hash =
                 sha256.len() == 64 && sha256.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
             let sum = failures.saturating_add(*first).saturating_add(*second);
-            let silent = |of: &Option<Unanswered>| of.as_ref().map_or(0, |silent| silent.runs);
+            let silent = |of: &Option<FailedControllerRuns>| of.as_ref().map_or(0, |silent| silent.runs);
             let own = failures.saturating_add(*first);
             let is_known = silent(&counted.unanswered) <= own
                 && sum.saturating_add(silent(&counted.other_unanswered)) <= runs_of(block).saturating_add(*failures)
-                && (self.is_of_two() || counted.other_unanswered.is_none());
-            is_hash && is_known && sum <= runs_of(block) && (self.is_of_two() || first.saturating_add(*second) == 0)
+                && (self.is_comparison() || counted.other_unanswered.is_none());
+            is_hash && is_known && sum <= runs_of(block) && (self.is_comparison() || first.saturating_add(*second) == 0)
         };
         let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
         counted <= blocks.end.saturating_sub(blocks.start)
             && tally.registration_sha256 == self.registration.digest()
-            && tally.runs == length(&self.runs_of(blocks.start..blocks.start + counted))
+            && tally.runs == range_len(&self.run_range(blocks.start..blocks.start + counted))
             && (blocks.start..).zip(&tally.blocks).all(may_be)
             && sum(|block| block.failures) == tally.failures
             && sum(|block| block.only_first_failed) == tally.only_first_failed
@@ -172,11 +172,11 @@ impl CountRecord {
 
     /// What a full tally shows. For one controller the lowest rate that is accepted, to nine digits.
     #[must_use]
-    pub fn certificate(&self, tally: &Tally) -> Certificate {
+    pub fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
-        let statement = if self.is_of_two() {
-            Statement::Comparison(Comparison {
+        let statement = if self.is_comparison() {
+            Statement::Comparison(ComparisonClaim {
                 registration,
                 registration_sha256,
                 only_first_failed: tally.only_first_failed,
@@ -190,10 +190,10 @@ impl CountRecord {
         } else {
             let rate_at_most = self.rate_at_most(tally.failures);
             let blocks = tally.blocks.iter().map(|block| (block.failures, block.sha256.clone())).collect();
-            Statement::Rate(Rate { registration, registration_sha256, failures: tally.failures, rate_at_most, blocks })
+            Statement::Rate(RateClaim { registration, registration_sha256, failures: tally.failures, rate_at_most, blocks })
         };
         let space = self.registration.configuration.get("space").cloned().unwrap_or_default();
-        certificate_about(space, Some(self.space_text.clone()), None, statement)
+        build_certificate(space, Some(self.space_text.clone()), None, statement)
     }
 
     /// The rate that so many failures of all runs show, at the registered confidence; 1 if they show none. It is one that the checker accepts.
@@ -205,7 +205,7 @@ impl CountRecord {
     /// The same without asking the checker, which takes as long as there are failures: for what has no certificate.
     #[must_use]
     pub(super) fn uncertified_rate_at_most(&self, failures: u64) -> f64 {
-        binomial::upper(failures, self.registration.runs, 1.0 - self.registration.confidence)
+        binomial::clopper_pearson_upper(failures, self.registration.runs, 1.0 - self.registration.confidence)
     }
 }
 
@@ -219,14 +219,14 @@ pub(super) fn upper_bound(failures: u64, runs: u64, confidence: f64) -> f64 {
     let allowed = 1.0 - confidence;
     let (mut aimed_at, mut rejected) = (allowed, 0.0);
     for doubling in 0..MAX_TRIES {
-        let rate = binomial::upper(failures, runs, aimed_at);
+        let rate = binomial::clopper_pearson_upper(failures, runs, aimed_at);
         // NaN included.
         if !(rate > 0.0 && rate < 1.0) {
             break;
         }
-        let tail = tail_at_most(failures, runs, rate);
+        let tail = binomial_tail_upper_bound(failures, runs, rate);
         if tail <= allowed {
-            return lowest_accepted(rejected, rate, |rate| tail_at_most(failures, runs, rate) <= allowed);
+            return lowest_accepted(rejected, rate, |rate| binomial_tail_upper_bound(failures, runs, rate) <= allowed);
         }
         // The checker rounds its tail up, and the more so the more runs there are: by how much is seen now. Of rates below 10⁻⁸ it tells
         // only some apart.

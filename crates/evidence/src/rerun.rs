@@ -7,10 +7,10 @@
 use crumple_verify::{Certificate, Registration, Statement};
 use rayon::prelude::*;
 
-use super::binding::{self, Unbound};
+use super::binding::{self, BindingError};
 use super::{CountedBlock, RateError, RatePlan};
 use crumple_core::digest::Sha256;
-use crumple_core::observer::{Counter, Observer, Progress, Stopped};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Stopped};
 use crumple_world::sim::NamedController;
 
 /// Which blocks are counted again.
@@ -35,7 +35,7 @@ pub enum RerunError {
     #[error("a certificate of kind `{0}` counts no runs")]
     NothingCounted(&'static str),
     /// Another release counted.
-    #[error("`registration.configuration.crumple` is {counted}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
+    #[error("`registration.configuration.crumple` is {counting_release}, this is {}: only the release that counted can count again", env!("CARGO_PKG_VERSION"))]
     OtherRelease {
         /// The one that counted.
         counting_release: String,
@@ -57,7 +57,7 @@ pub enum RerunError {
     OtherRegistration,
     /// The certificate is not about what it says.
     #[error(transparent)]
-    Binding(#[from] Unbound),
+    Binding(#[from] BindingError),
     /// A run cannot be made.
     #[error(transparent)]
     Run(#[from] RateError),
@@ -111,16 +111,16 @@ impl Confirmation {
     /// Whether everything was counted again.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.blocks == self.of_blocks
+        self.blocks == self.total_blocks
     }
 
     /// The least chance with which this would have caught a maker who changed what came of `forged` runs, wherever they were.
     #[must_use]
     pub fn detection_probability(&self, forged: u64) -> f64 {
-        let changed = forged.div_ceil(self.block_runs.max(1)).min(self.of_blocks);
+        let changed = forged.div_ceil(self.block_runs.max(1)).min(self.total_blocks);
         let missed = (0..changed).map(|i| {
-            let left = self.of_blocks.saturating_sub(self.blocks).saturating_sub(i);
-            left as f64 / (self.of_blocks - i) as f64
+            let left = self.total_blocks.saturating_sub(self.blocks).saturating_sub(i);
+            left as f64 / (self.total_blocks - i) as f64
         });
         1.0 - missed.product::<f64>()
     }
@@ -146,12 +146,12 @@ impl Rerun {
             }
             other => return Err(RerunError::NothingCounted(other.name())),
         };
-        if certificate.is_old() {
+        if certificate.is_first_version() {
             return Err(RerunError::NoBlocks);
         }
         let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
         if of("crumple") != env!("CARGO_PKG_VERSION") {
-            return Err(RerunError::OtherRelease { counted: of("crumple").escape_debug().to_string() });
+            return Err(RerunError::OtherRelease { counting_release: of("crumple").escape_debug().to_string() });
         }
         let find = |place: &'static str| {
             let identity = of(match place {
@@ -173,21 +173,21 @@ impl Rerun {
                 (first, second)
             }
         };
-        let plan = binding::plan_of(certificate, registration, controllers)?;
-        if plan.registration() != registration || plan.blocks() != stated.len() as u64 {
+        let plan = binding::rebuild_plan(certificate, registration, controllers)?;
+        if plan.registration() != registration || plan.block_count() != stated.len() as u64 {
             return Err(RerunError::OtherRegistration);
         }
-        Ok(Self { plan, stated, digest: certificate.digest() })
+        Ok(Self { plan, stated_blocks: stated, digest: certificate.digest() })
     }
 
     /// How many runs a sample holds.
     #[must_use]
-    pub fn run_count(&self, sample: Sample) -> u64 {
-        self.sampled(sample).into_iter().map(|block| self.runs_of(block)).sum()
+    pub fn run_count(&self, sample: BlockSelection) -> u64 {
+        self.select_blocks(sample).into_iter().map(|block| self.block_run_count(block)).sum()
     }
 
     fn block_run_count(&self, block: u64) -> u64 {
-        let runs = self.plan.runs_of(block);
+        let runs = self.plan.run_range(block);
         runs.end - runs.start
     }
 
@@ -195,32 +195,32 @@ impl Rerun {
     ///
     /// # Errors
     /// [`RerunError::Refuted`] names the first block of the sample that is not as stated; [`RerunError::Stopped`] if `observer` stops.
-    pub fn confirm(&self, sample: Sample, observer: &dyn Observer<Progress>) -> Result<Confirmation, RerunError> {
-        let counter = Counter::new(observer, Some(self.runs(sample)));
-        let blocks = self.sampled(sample);
+    pub fn confirm(&self, sample: BlockSelection, observer: &dyn Observer<RunProgress>) -> Result<Confirmation, RerunError> {
+        let counter = ProgressCounter::new(observer, Some(self.run_count(sample)));
+        let blocks = self.select_blocks(sample);
         let judged = blocks.par_iter().map(|&block| {
             // Without this question, all blocks would be counted after a stop.
             counter.add(0)?;
-            let found = self.plan.count_again(block)?;
-            counter.add(self.runs_of(block))?;
-            self.compare(block, &found)
+            let found = self.plan.recount_block(block)?;
+            counter.add(self.block_run_count(block))?;
+            self.compare_block(block, &found)
         });
         // The first in order, whichever thread was first.
         judged.collect::<Vec<_>>().into_iter().collect::<Result<(), RerunError>>()?;
         Ok(Confirmation {
             blocks: blocks.len() as u64,
-            of_blocks: self.plan.blocks(),
-            runs: blocks.iter().map(|&block| self.runs_of(block)).sum(),
-            of_runs: self.plan.registration().runs,
-            block_runs: self.runs_of(0),
+            total_blocks: self.plan.block_count(),
+            runs: blocks.iter().map(|&block| self.block_run_count(block)).sum(),
+            total_runs: self.plan.registration().runs,
+            block_runs: self.block_run_count(0),
         })
     }
 
     /// The blocks of a sample, in order: those whose hashes with the seed and the certificate are the smallest.
-    fn select_blocks(&self, sample: Sample) -> Vec<u64> {
-        let all = 0..self.plan.blocks();
-        let Sample::Share { percent, seed } = sample else { return all.collect() };
-        let most = self.plan.blocks();
+    fn select_blocks(&self, sample: BlockSelection) -> Vec<u64> {
+        let all = 0..self.plan.block_count();
+        let BlockSelection::Sample { percent, seed } = sample else { return all.collect() };
+        let most = self.plan.block_count();
         let wanted = ((percent / 100.0 * most as f64).ceil() as u64).clamp(1, most) as usize;
         let lot = |block: u64| {
             Sha256::default().with(seed.to_le_bytes()).with(&self.digest).with(block.to_le_bytes()).finish()
@@ -235,8 +235,8 @@ impl Rerun {
     fn compare_block(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
         let is_rate = self.plan.has_single_controller();
         let counts = if is_rate { [found.failures, 0] } else { [found.only_first_failed, found.only_second_failed] };
-        let Some(stated) = self.stated.get(block as usize) else { return Err(RerunError::OtherRegistration) };
-        let runs = self.plan.runs_of(block);
+        let Some(stated) = self.stated_blocks.get(block as usize) else { return Err(RerunError::OtherRegistration) };
+        let runs = self.plan.run_range(block);
         let refuted = |problem: String| {
             Err(RerunError::Refuted { block, first: runs.start, last: runs.end.saturating_sub(1), problem })
         };

@@ -1,7 +1,7 @@
 //! Scripted leaders among those that brake as they like within a limit.
 
 use crumple_verify::Interval;
-use crumple_world::scenario::{Driver, LeadProfile, Recorded, VehicleSpec};
+use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, VehicleSpec};
 
 /// Reason why a script breaks the limits of a claim: it speeds up, brakes too hard or starts at another speed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -74,7 +74,7 @@ pub(super) fn check_script_limits(leader: &VehicleSpec, limit_mps2: f64, horizon
 }
 
 /// The lowest and the highest slope of recorded speeds, 0 included, rounded outward, in m/s².
-fn slopes_mps2(recorded: &Recorded, horizon_s: f64) -> [f64; 2] {
+fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
     let samples: Vec<[f64; 2]> = recorded.time_s.iter().zip(&recorded.speed_mps).map(|(&t, &v)| [t, v]).collect();
     let pairs = samples.iter().zip(samples.iter().skip(1)).take_while(|([from_s, _], _)| *from_s <= horizon_s);
     hull(pairs.map(|(from, to)| {

@@ -6,8 +6,8 @@ use crumple_world::sim::NamedController;
 use serde::Serialize;
 
 use super::result::{DISCLAIMER, TestVerdict};
-use super::run::{Criterion, Driven, SuiteRunError};
-use super::situation::{Boundary, MapAxis, Situation};
+use super::run::{Criterion, ControllerSetup, SuiteRunError};
+use super::situation::{Boundary, CrashMapAxis, CrashMapSituation};
 
 /// Most cells across, and most up.
 const MAX_CELLS: usize = 100;
@@ -15,7 +15,7 @@ const MAX_CELLS: usize = 100;
 /// What a crash map is to show.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CrashMapSpec {
-    situation: Situation,
+    situation: CrashMapSituation,
     cells: [usize; 2],
 }
 
@@ -36,7 +36,7 @@ pub enum MapProblem {
         found: f64,
     },
     /// Too few cells or too many.
-    #[error("must have 2 to {MOST_CELLS} cells each way, found {0}x{1}")]
+    #[error("must have 2 to {MAX_CELLS} cells each way, found {0}x{1}")]
     Cells(usize, usize),
 }
 
@@ -46,11 +46,11 @@ pub struct CrashMap {
     /// What it is and is not.
     pub statement: &'static str,
     /// The situation, and what is held.
-    pub situation: Situation,
+    pub situation: CrashMapSituation,
     /// The figure that grows from left to right.
-    pub across: MapAxis,
+    pub across: CrashMapAxis,
     /// The figure that grows from bottom to top.
-    pub up: MapAxis,
+    pub up: CrashMapAxis,
     /// What the controllers looked through. Reference drivers see the truth.
     pub estimator: EstimatorKind,
     /// Lines of closed forms.
@@ -100,17 +100,17 @@ impl CrashMapSpec {
     ///
     /// # Errors
     /// [`MapProblem`] for what is out of range.
-    pub fn new(situation: Situation, cells: [usize; 2]) -> Result<Self, MapProblem> {
+    pub fn new(situation: CrashMapSituation, cells: [usize; 2]) -> Result<Self, MapProblem> {
         if !situation.is_in_range() {
             let ([low, high], unit, found) = match situation {
-                Situation::CarFollowing { time_gap_s } => (Situation::TIME_GAP_S, "s", time_gap_s),
-                Situation::CutInGap { own_speed_kmph } | Situation::CutInTime { own_speed_kmph } => {
-                    (Situation::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
+                CrashMapSituation::CarFollowing { time_gap_s } => (CrashMapSituation::TIME_GAP_RANGE_S, "s", time_gap_s),
+                CrashMapSituation::CutInGap { own_speed_kmph } | CrashMapSituation::CutInTime { own_speed_kmph } => {
+                    (CrashMapSituation::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
                 }
             };
-            return Err(MapProblem::Held { low, high, unit, found });
+            return Err(MapProblem::OutOfRange { low, high, unit, found });
         }
-        match cells.iter().all(|cells| (2..=MOST_CELLS).contains(cells)) {
+        match cells.iter().all(|cells| (2..=MAX_CELLS).contains(cells)) {
             true => Ok(Self { situation, cells }),
             false => Err(MapProblem::Cells(cells[0], cells[1])),
         }
@@ -124,17 +124,17 @@ impl CrashMapSpec {
         let situation = self.situation;
         let [across, up] = situation.axes(self.cells);
         let points: Vec<[f64; 2]> = (0..up.cells)
-            .flat_map(|row| (0..across.cells).map(move |column| [across.middle(column), up.middle(row)]))
+            .flat_map(|row| (0..across.cells).map(move |column| [across.cell_middle(column), up.cell_middle(row)]))
             .collect();
         let scenarios =
             points.iter().map(|&[across, up]| situation.scenario(across, up)).collect::<Result<Vec<_>, _>>()?;
         let boundaries = situation.boundaries([&across, &up]);
-        let references = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
+        let references = ControllerSpec::all().into_iter().filter(|spec| spec.role() == Role::Reference);
         let references = references.map(|spec| (NamedController::from(spec), EstimatorKind::Truth, true));
         let asked = controllers.iter().map(|one| (one.clone(), estimator, false));
         let panel = |(controller, estimator, is_reference): (NamedController, _, bool)| {
-            let driven = Driven { controller: &controller.kind, estimator };
-            let seen = driven.seen(Criterion::no_contact(situation.lead()), &scenarios);
+            let driven = ControllerSetup { controller: &controller.kind, estimator };
+            let seen = driven.run_scenarios(Criterion::no_contact(situation.lead_maneuver()), &scenarios);
             controller.ensure_trusted()?;
             let driver = controller.name;
             let cells: Vec<CrashCell> = points
@@ -150,7 +150,7 @@ impl CrashMapSpec {
                 .collect();
             let own = boundaries.iter().find(|line| is_reference && line.driver == Some(driver.as_str()));
             let unlike = |line: &Boundary| {
-                let says = |cell: &&CrashCell| situation.touches(line, [cell.across, cell.up]);
+                let says = |cell: &&CrashCell| situation.predicts_contact(line, [cell.across, cell.up]);
                 cells.iter().filter(|cell| says(cell).is_some_and(|touches| touches != cell.is_contact())).count()
             };
             Ok(MapPanel {
@@ -163,8 +163,8 @@ impl CrashMapSpec {
             })
         };
         let panels = references.chain(asked).map(panel).collect::<Result<_, SuiteRunError>>()?;
-        let stated = situation.stated();
-        Ok(CrashMap { statement: DISCLAIMER, situation, across, up, estimator, boundaries, stated, panels })
+        let stated = situation.stated_points();
+        Ok(CrashMap { statement: DISCLAIMER, situation, across, up, estimator, boundaries, stated_points: stated, panels })
     }
 }
 

@@ -23,16 +23,16 @@ mod worst_in_tolerance;
 use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
-pub use parameter::{Figure, Figures, ImpactLimit, Origin, Parameter, Unit};
-pub use crash_map::{CrashCell, CrashMap, MapPanel, MapProblem, MapSpec};
-pub use margin::{Beyond, Margin, MarginEnd};
+pub use parameter::{TestParameter, TestParameters, ImpactLimit, Origin, ParameterKind, ParameterUnit};
+pub use crash_map::{CrashCell, CrashMap, MapPanel, MapProblem, CrashMapSpec};
+pub use margin::{SweepFailure, Margin, MarginEnd};
 pub use prevention::{Prevention, ReferenceRun};
-pub use result::{ClauseResult, Failed, DISCLAIMER, SuiteResult, TestResult, TestVerdict, Tested};
+pub use result::{ClauseResult, FailedPoint, DISCLAIMER, SuiteResult, TestResult, TestVerdict, ControllerResult};
 pub use run::{SuiteRunError, run};
 pub use shard::{MergedSuite, SUITE_SHARD_KIND, SuiteShardError, UnavailableController, run_shard};
-pub use situation::{Boundary, MapAxis, Situation};
-pub use spec::{ClauseSpec, Lead, MarginSweep, SuiteSpec, TestSpec};
-pub use worst_in_tolerance::Within;
+pub use situation::{Boundary, CrashMapAxis, CrashMapSituation};
+pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};
+pub use worst_in_tolerance::WorstInTolerance;
 
 /// The version of the suite file format this release reads.
 pub(crate) const SUITE_VERSION: u32 = 1;
@@ -78,7 +78,7 @@ impl TestSuite {
     /// The suite that is shipped under a name.
     #[must_use]
     pub fn shipped(name: &str) -> Option<Result<Self, SuiteError>> {
-        let (name, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name)?;
+        let (name, text) = SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name)?;
         Some(Self::from_toml(text, Path::new(name)))
     }
 

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{Parameter, Unit};
+use super::parameter::{ParameterKind, ParameterUnit};
 use super::result::TestVerdict;
-use super::run::{Criterion, Driven};
-use super::spec::{TestSpec, moved};
+use super::run::{Criterion, ControllerSetup};
+use super::spec::{TestSpec, with_value};
 
 /// Equal parts of a direction, at whose ends the test is run.
 const SWEEP_PARTS: usize = 16;
@@ -18,9 +18,9 @@ const BISECTIONS: usize = 7;
 pub struct Margin {
     /// What is pushed.
     #[serde(rename = "push")]
-    pub parameter: Parameter,
+    pub parameter: ParameterKind,
     /// The unit of all values here.
-    pub unit: Unit,
+    pub unit: ParameterUnit,
     /// From where: the value of the grid that is next to `to`.
     pub from: f64,
     /// How far at most.
@@ -81,8 +81,8 @@ struct Sweep<'t> {
     test: &'t TestSpec,
     base: Vec<f64>,
     position: usize,
-    parameter: Parameter,
-    unit: Unit,
+    parameter: ParameterKind,
+    unit: ParameterUnit,
     from: f64,
     to: f64,
 }
@@ -90,29 +90,29 @@ struct Sweep<'t> {
 impl Sweep<'_> {
     /// The end of a part.
     fn value(&self, part: usize) -> f64 {
-        self.from + (self.to - self.from) * (part as f64 / PARTS as f64)
+        self.from + (self.to - self.from) * (part as f64 / SWEEP_PARTS as f64)
     }
 }
 
 /// The margins of a test: a line a direction and combination of the other figures.
-pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &Driven<'_>) -> Vec<Margin> {
-    let lines = lines(test);
+pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &ControllerSetup<'_>) -> Vec<Margin> {
+    let lines = sweeps(test);
     let ends: Vec<(usize, f64)> = (0..lines.len())
-        .flat_map(|line| (0..=PARTS).map(move |part| (line, part)))
+        .flat_map(|line| (0..=SWEEP_PARTS).map(move |part| (line, part)))
         .map(|(line, part)| (line, lines[line].value(part)))
         .collect();
-    let at_ends = found(&lines, &ends, criterion, driven);
+    let at_ends = evaluate(&lines, &ends, criterion, driven);
     let mut margin_ends: Vec<MarginEnd> =
-        at_ends.chunks(PARTS + 1).zip(&lines).map(|(found, line)| coarse(line, found)).collect();
-    for _ in 0..HALVINGS {
-        halve(&mut margin_ends, &lines, criterion, driven);
+        at_ends.chunks(SWEEP_PARTS + 1).zip(&lines).map(|(found, line)| grid_end(line, found)).collect();
+    for _ in 0..BISECTIONS {
+        bisect(&mut margin_ends, &lines, criterion, driven);
     }
     let margin = |(line, end): (&Sweep<'_>, MarginEnd)| Margin {
-        push: line.push,
+        parameter: line.parameter,
         unit: line.unit,
         from: line.from,
         to: line.to,
-        held: line.test.words(&line.base, Some(line.at)),
+        fixed_parameters: line.test.describe_point_without(&line.base, Some(line.position)),
         end,
     };
     lines.iter().zip(margin_ends).map(margin).collect()
@@ -121,12 +121,12 @@ pub(super) fn find_margins(test: &TestSpec, criterion: Criterion, driven: &Drive
 fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
     let mut lines: Vec<Sweep<'_>> = Vec::new();
     for margin in &test.margins {
-        let Some((at, figure)) = test.place(margin.push) else { continue };
+        let Some((at, figure)) = test.find_parameter(margin.parameter) else { continue };
         let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else { continue };
         let from = if margin.to > last { last } else { first };
         let bases = test.grid().into_iter().filter(|point| point.get(at) == Some(&from));
-        let (push, unit, to) = (margin.push, figure.unit, margin.to);
-        lines.extend(bases.map(|base| Sweep { test, base, at, push, unit, from, to }));
+        let (push, unit, to) = (margin.parameter, figure.unit, margin.to);
+        lines.extend(bases.map(|base| Sweep { test, base, position: at, parameter: push, unit, from, to }));
     }
     lines
 }
@@ -135,28 +135,28 @@ fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
 fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
     let first = found.iter().zip(0..).find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
     match first {
-        None => MarginEnd::Holds { parts: PARTS },
-        Some((0, beyond)) => MarginEnd::None { beyond },
+        None => MarginEnd::Holds { parts: SWEEP_PARTS },
+        Some((0, beyond)) => MarginEnd::None { failure: beyond },
         Some((first, beyond)) => MarginEnd::Boundary {
             passes_at: line.value(first - 1),
             fails_at: line.value(first),
-            beyond,
+            failure: beyond,
             is_monotone: !found.iter().skip(first).any(Result::is_ok),
-            parts: PARTS,
+            parts: SWEEP_PARTS,
         },
     }
 }
 
 /// Halves every part with a boundary.
-fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criterion, driven: &Driven<'_>) {
+fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criterion, driven: &ControllerSetup<'_>) {
     let middle = |(line, end): (usize, &MarginEnd)| match end {
         MarginEnd::Boundary { passes_at, fails_at, .. } => Some((line, 0.5 * (passes_at + fails_at))),
         MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
     };
     let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
-    let at_middles = found(lines, &middles, criterion, driven);
+    let at_middles = evaluate(lines, &middles, criterion, driven);
     for ((line, middle), found) in middles.into_iter().zip(at_middles) {
-        let Some(MarginEnd::Boundary { passes_at, fails_at, beyond, .. }) = margin_ends.get_mut(line) else { continue };
+        let Some(MarginEnd::Boundary { passes_at, fails_at, failure: beyond, .. }) = margin_ends.get_mut(line) else { continue };
         match found {
             Ok(()) => *passes_at = middle,
             Err(found) => (*fails_at, *beyond) = (middle, found),
@@ -165,14 +165,14 @@ fn bisect(margin_ends: &mut [MarginEnd], lines: &[Sweep<'_>], criterion: Criteri
 }
 
 /// What the test does at values of lines.
-fn evaluate(lines: &[Sweep<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &Driven<'_>) -> Vec<SweepOutcome> {
+fn evaluate(lines: &[Sweep<'_>], values: &[(usize, f64)], criterion: Criterion, driven: &ControllerSetup<'_>) -> Vec<SweepOutcome> {
     let scenario = |&(line, value): &(usize, f64)| {
         let line: &Sweep<'_> = lines.get(line)?;
-        line.test.scenario("margin", "", &moved(&line.base, line.at, value)).ok()
+        line.test.scenario("margin", "", &with_value(&line.base, line.position, value)).ok()
     };
     let scenarios: Vec<_> = values.iter().map(scenario).collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
-    let mut seen = driven.seen(criterion, &valid).into_iter();
+    let mut seen = driven.run_scenarios(criterion, &valid).into_iter();
     let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
         Some(TestVerdict::Passed) => Ok(()),
         Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(SweepFailure::Fails),

@@ -78,7 +78,7 @@ pub struct TestParameter {
     /// Who says so.
     pub origin: Origin,
     /// How far a test may be from a value, both ways, in the unit: it has to pass there too, and the worst is searched for.
-    #[serde(default, skip_serializing_if = "is_none")]
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
     /// Where the document says so, or why they were chosen.
     #[serde(default, skip_serializing_if = "String::is_empty")]

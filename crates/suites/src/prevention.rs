@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
-use super::run::{Criterion, Driven, Known};
-use crumple_search::falsify::counterexample::{Avoidability, Classed};
+use super::run::{Criterion, ControllerSetup, PreventabilityCache};
+use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityAnalysis};
 
 /// Of so many failed points of a test, the first ones, it is asked whether anybody could have avoided the contact.
 const MAX_AVOIDABILITY_CHECKS: usize = 3;
@@ -39,34 +39,34 @@ pub struct ReferenceRun {
 #[derive(Debug, Clone)]
 pub(super) struct Preventability {
     pub(super) references: Vec<ReferenceRun>,
-    pub(super) classification: Classed,
+    pub(super) classification: AvoidabilityAnalysis,
 }
 
 /// What is known of these scenarios of a test; what has to be found out for it is added to `known`.
-pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario], known: &mut Known) -> Vec<Preventability> {
+pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario], known: &mut PreventabilityCache) -> Vec<Preventability> {
     let name = |scenario: &Scenario| scenario.spec().name.clone();
     let new: Vec<Scenario> =
         scenarios.iter().filter(|scenario| !known.contains_key(&name(scenario))).map(|&one| one.clone()).collect();
-    let references = references(criterion, &new);
+    let references = run_references(criterion, &new);
     for (index, scenario) in new.iter().enumerate() {
         let references = references.iter().filter_map(|all| all.get(index).cloned()).collect();
-        known.insert(name(scenario), Preventability { references, classed: Classed::default() });
+        known.insert(name(scenario), Preventability { references, classification: AvoidabilityAnalysis::default() });
     }
     let is_open = |scenario: &&&Scenario| {
-        known.get(&name(scenario)).is_some_and(|known| known.classed.avoidability == Avoidability::NotAsked)
+        known.get(&name(scenario)).is_some_and(|known| known.classification.avoidability == Avoidability::NotAsked)
     };
     let asked: Vec<_> = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS).filter(is_open).collect();
-    let answers: Vec<_> = asked.par_iter().map(|scenario| (name(scenario), Classed::classify_contact(scenario))).collect();
+    let answers: Vec<_> = asked.par_iter().map(|scenario| (name(scenario), AvoidabilityAnalysis::classify_contact(scenario))).collect();
     for (name, answer) in answers {
         if let Some(known) = known.get_mut(&name) {
-            known.classed = answer;
+            known.classification = answer;
         }
     }
     // Who was asked for another controller's sake is not told of, so that a result does not depend on the others.
     let told = scenarios.iter().enumerate().filter_map(|(index, scenario)| {
         let mut prevented = known.get(&name(scenario))?.clone();
         if index >= MAX_AVOIDABILITY_CHECKS {
-            prevented.classed = Classed::default();
+            prevented.classification = AvoidabilityAnalysis::default();
         }
         Some(prevented)
     });
@@ -75,12 +75,12 @@ pub(super) fn assess_preventability(criterion: Criterion, scenarios: &[&Scenario
 
 /// What each reference driver does in each scenario.
 fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
-    let drivers = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() == Role::Reference);
+    let drivers = ControllerSpec::all().into_iter().filter(|spec| spec.role() == Role::Reference);
     let runs = drivers.map(|spec| {
         let driver = spec.name();
         let controller = ControllerKind::from(spec);
-        let seen = Driven { controller: &controller, estimator: EstimatorKind::Truth }.seen(criterion, scenarios);
-        let prevention = |seen: super::run::Seen| match seen.verdict {
+        let seen = ControllerSetup { controller: &controller, estimator: EstimatorKind::Truth }.run_scenarios(criterion, scenarios);
+        let prevention = |seen: super::run::RunResult| match seen.verdict {
             TestVerdict::Passed => Prevention::Prevents,
             _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
             _ => Prevention::DoesNotReact,

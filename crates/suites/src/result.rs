@@ -2,13 +2,13 @@
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{Figures, ImpactLimit};
+use super::parameter::{TestParameters, ImpactLimit};
 use super::margin::Margin;
 use super::prevention::ReferenceRun;
-use super::worst_in_tolerance::Within;
+use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 
 /// What goes with every result.
@@ -61,7 +61,7 @@ pub struct TestResult {
     pub is_as_stated: bool,
     /// Its figures, each with who says so.
     #[serde(rename = "figures")]
-    pub parameters: Figures,
+    pub parameters: TestParameters,
     /// The fastest contact at which it passes; none if no contact does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
@@ -88,10 +88,10 @@ pub struct ControllerResult {
     /// The worst point found within the ranges that the clause allows; none where it states none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "within")]
-    pub worst_in_tolerance: Option<Within>,
+    pub worst_in_tolerance: Option<WorstInTolerance>,
     /// The points of the grid that failed.
     #[serde(rename = "failed")]
-    pub failed_points: Vec<Failed>,
+    pub failed_points: Vec<FailedPoint>,
 }
 
 /// A point that failed.
@@ -146,21 +146,21 @@ pub enum TestVerdict {
 impl ControllerResult {
     /// Points of its grid in which the controller gave no answer: they are among those that failed.
     #[must_use]
-    pub fn unanswered(&self) -> Option<Unanswered> {
+    pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let mut all = None;
-        self.failed.iter().for_each(|failed| Unanswered::join(&mut all, failed.verdict.unanswered()));
+        self.failed_points.iter().for_each(|failed| FailedControllerRuns::merge(&mut all, failed.verdict.unanswered()));
         all
     }
 
     /// Every failure: of the grid, and the worst within the ranges.
-    pub fn failures(&self) -> impl Iterator<Item = &Failed> {
-        self.failed.iter().chain(self.within.as_ref().and_then(|within| within.failed.as_ref()))
+    pub fn failures(&self) -> impl Iterator<Item = &FailedPoint> {
+        self.failed_points.iter().chain(self.worst_in_tolerance.as_ref().and_then(|within| within.failed_point.as_ref()))
     }
 
     /// Whether it passed on the grid, and nothing was found to fail within the ranges.
     #[must_use]
     pub fn is_passed(&self) -> bool {
-        self.verdict.is_passed() && self.within.as_ref().is_none_or(|within| !within.verdict.is_failure())
+        self.verdict.is_passed() && self.worst_in_tolerance.as_ref().is_none_or(|within| !within.verdict.is_failure())
     }
 }
 
@@ -179,9 +179,9 @@ impl TestVerdict {
 
     /// That its controller gave no answer, and why; nothing where it did.
     #[must_use]
-    pub fn unanswered(&self) -> Option<Unanswered> {
+    pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let Self::ControllerFailed { time_s, reason } = self else { return None };
-        Some(Unanswered { runs: 1, because: format!("at {time_s:.2} s, {reason}") })
+        Some(FailedControllerRuns { runs: 1, because: format!("at {time_s:.2} s, {reason}") })
     }
 
     /// Whether the test could not be run.
@@ -203,7 +203,7 @@ impl TestVerdict {
     /// The worst of some, the first of equals; none of none.
     pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
         let worse = |worst: &'v Self, next: &'v Self| {
-            let ((class, speed), (next_class, next_speed)) = (worst.badness(), next.badness());
+            let ((class, speed), (next_class, next_speed)) = (worst.severity_key(), next.severity_key());
             if (next_class, next_speed.total_cmp(&speed)) > (class, std::cmp::Ordering::Equal) { next } else { worst }
         };
         all.reduce(worse)

@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::margin::Margin;
 use super::prevention::ReferenceRun;
-use super::result::{Failed, TestVerdict, Tested};
-use super::worst_in_tolerance::Within;
+use super::result::{FailedPoint, TestVerdict, ControllerResult};
+use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::scenario::file;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
 /// [`Tested`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,7 +40,7 @@ struct WorstInToleranceRow {
     points_run: usize,
     failures: usize,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    unanswered: Option<Unanswered>,
+    unanswered: Option<FailedControllerRuns>,
     #[serde(rename = "failed")]
     failed_point: Option<FailedPointRow>,
 }
@@ -59,56 +59,56 @@ struct FailedPointRow {
 }
 
 impl ControllerResultRow {
-    pub(super) fn encode(tested: &Tested) -> Result<Self, toml::ser::Error> {
-        let Tested { controller, verdict, points, passed, min_gap_m, margins, within, failed } = tested.clone();
+    pub(super) fn encode(tested: &ControllerResult) -> Result<Self, toml::ser::Error> {
+        let ControllerResult { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed } = tested.clone();
         Ok(Self {
             controller,
             verdict,
             points,
-            passed,
+            passed_points: passed,
             min_gap_m,
             margins,
-            within: within.map(WorstInToleranceRow::of).transpose()?,
-            failed: failed.into_iter().map(FailedPointRow::of).collect::<Result<_, _>>()?,
+            worst_in_tolerance: within.map(WorstInToleranceRow::encode).transpose()?,
+            failed_points: failed.into_iter().map(FailedPointRow::encode).collect::<Result<_, _>>()?,
         })
     }
 
     /// What it was, unless it cannot be that.
-    pub(super) fn decode(self) -> Result<Tested, String> {
-        let Self { controller, verdict, points, passed, min_gap_m, margins, within, failed } = self;
-        let within = within.map(WorstInToleranceRow::read).transpose()?;
-        let failed = failed.into_iter().map(FailedPointRow::read).collect::<Result<_, _>>()?;
-        Ok(Tested { controller, verdict, points, passed, min_gap_m, margins, within, failed })
+    pub(super) fn decode(self) -> Result<ControllerResult, String> {
+        let Self { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed } = self;
+        let within = within.map(WorstInToleranceRow::decode).transpose()?;
+        let failed = failed.into_iter().map(FailedPointRow::decode).collect::<Result<_, _>>()?;
+        Ok(ControllerResult { controller, verdict, points, passed_points: passed, min_gap_m, margins, worst_in_tolerance: within, failed_points: failed })
     }
 }
 
 impl WorstInToleranceRow {
-    fn encode(within: Within) -> Result<Self, toml::ser::Error> {
-        let Within { point, verdict, min_gap_m, tried, failures, unanswered, failed } = within;
-        let failed = failed.map(FailedPointRow::of).transpose()?;
-        Ok(Self { point, verdict, min_gap_m, tried, failures, unanswered, failed })
+    fn encode(within: WorstInTolerance) -> Result<Self, toml::ser::Error> {
+        let WorstInTolerance { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed } = within;
+        let failed = failed.map(FailedPointRow::encode).transpose()?;
+        Ok(Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed })
     }
 
-    fn decode(self) -> Result<Within, String> {
-        let Self { point, verdict, min_gap_m, tried, failures, unanswered, failed } = self;
-        let failed = failed.map(FailedPointRow::read).transpose()?;
-        Ok(Within { point, verdict, min_gap_m, tried, failures, unanswered, failed })
+    fn decode(self) -> Result<WorstInTolerance, String> {
+        let Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed } = self;
+        let failed = failed.map(FailedPointRow::decode).transpose()?;
+        Ok(WorstInTolerance { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed })
     }
 }
 
 impl FailedPointRow {
-    fn encode(failed: Failed) -> Result<Self, toml::ser::Error> {
+    fn encode(failed: FailedPoint) -> Result<Self, toml::ser::Error> {
         let scenario = file::to_toml(&failed.scenario)?;
         let escape = failed.escape.as_ref().map(file::to_toml).transpose()?;
-        let Failed { point, verdict, references, avoidability, .. } = failed;
+        let FailedPoint { point, verdict, references, avoidability, .. } = failed;
         Ok(Self { point, verdict, references, avoidability, escape, scenario })
     }
 
-    fn decode(self) -> Result<Failed, String> {
+    fn decode(self) -> Result<FailedPoint, String> {
         let Self { point, verdict, references, avoidability, escape, scenario } = self;
         let read = |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| error.to_string());
         let (scenario, escape) = (read(&scenario)?, escape.as_deref().map(read).transpose()?);
         let scenario_name = scenario.spec().name.clone();
-        Ok(Failed { point, verdict, references, avoidability, escape, scenario_name, scenario })
+        Ok(FailedPoint { point, verdict, references, avoidability, escape, scenario_name, scenario })
     }
 }

@@ -6,17 +6,17 @@ use std::ops::Range;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
-    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, Simulated, Trace,
+    ControllerKind, NamedController, Outcome, RecordingLevel, RefusedController, Run, RunOptions, SimulationResult, Trace,
     simulate_batch,
 };
 
-use super::Suite;
-use super::margin::margins;
-use super::prevention::{Preventability, prevented};
-use super::result::{ClauseResult, Failed, DISCLAIMER, SuiteResult, TestResult, TestVerdict, Tested};
-use super::spec::{ClauseSpec, Lead, SuiteSpec, TestSpec};
-use super::worst_in_tolerance::{Within, WorstPoint, worst};
-use crumple_search::falsify::counterexample::Classed;
+use super::TestSuite;
+use super::margin::find_margins;
+use super::prevention::{Preventability, assess_preventability};
+use super::result::{ClauseResult, FailedPoint, DISCLAIMER, SuiteResult, TestResult, TestVerdict, ControllerResult};
+use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
+use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
+use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
 
 /// Why a suite or a map of one is not run to its end.
 #[derive(Debug, thiserror::Error)]
@@ -34,14 +34,14 @@ pub enum SuiteRunError {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Criterion {
     /// What the vehicle ahead does.
-    pub(super) lead: Lead,
+    pub(super) lead: LeadManeuver,
     /// The fastest contact that passes, in m/s; none if no contact does.
     pub(super) impact_at_most_mps: Option<f64>,
 }
 
 impl Criterion {
     /// Where no contact passes.
-    pub(super) fn no_contact(lead: Lead) -> Self {
+    pub(super) fn no_contact(lead: LeadManeuver) -> Self {
         Self { lead, impact_at_most_mps: None }
     }
 
@@ -65,7 +65,7 @@ pub(super) struct RunResult {
     pub(super) max_brake_mps2: f64,
 }
 
-impl Seen {
+impl RunResult {
     fn refused(reason: String) -> Self {
         Self { verdict: TestVerdict::Refused { reason }, min_gap_m: None, max_brake_mps2: 0.0 }
     }
@@ -78,16 +78,16 @@ impl Seen {
 /// # Errors
 /// [`SuiteRunError::Refused`] for a controller that is refused on the way; of a valid suite nothing else.
 pub fn run(
-    suite: &Suite,
+    suite: &TestSuite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
 ) -> Result<SuiteResult, SuiteRunError> {
     let mut tested = Vec::new();
-    each(suite, controllers, estimator, 0..pieces(suite.spec(), controllers.len()), &mut |one| {
+    run_pairs(suite, controllers, estimator, 0..pair_count(suite.spec(), controllers.len()), &mut |one| {
         tested.push(one);
         Ok::<(), SuiteRunError>(())
     })?;
-    Ok(assembled(suite.spec(), estimator, controllers.len(), tested))
+    Ok(assemble(suite.spec(), estimator, controllers.len(), tested))
 }
 
 /// How many pieces there are that can be run by themselves: a test and a controller each, in the order of the suite.
@@ -97,11 +97,11 @@ pub(super) fn pair_count(suite: &SuiteSpec, controllers: usize) -> u64 {
 
 /// Runs some of the pieces, in order, and says of each what was found; of a controller that was refused on the way nothing is said.
 pub(super) fn run_pairs<E: From<SuiteRunError>>(
-    suite: &Suite,
+    suite: &TestSuite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
     wanted: Range<u64>,
-    found: &mut dyn FnMut(Tested) -> Result<(), E>,
+    found: &mut dyn FnMut(ControllerResult) -> Result<(), E>,
 ) -> Result<(), E> {
     let spec = suite.spec();
     let tests = spec.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)));
@@ -112,10 +112,10 @@ pub(super) fn run_pairs<E: From<SuiteRunError>>(
         if own.end <= wanted.start || own.start >= wanted.end {
             continue;
         }
-        let course = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.says))
+        let course = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.summary))
             .map_err(SuiteRunError::Scenario)?;
         for (_, controller) in own.zip(controllers).filter(|(piece, _)| wanted.contains(piece)) {
-            let tested = course.tested(controller, estimator, &mut known);
+            let tested = course.run(controller, estimator, &mut known);
             controller.ensure_trusted().map_err(SuiteRunError::Refused)?;
             found(tested)?;
         }
@@ -128,19 +128,19 @@ pub(super) fn assemble(
     spec: &SuiteSpec,
     estimator: EstimatorKind,
     controllers: usize,
-    tested: impl IntoIterator<Item = Tested>,
+    tested: impl IntoIterator<Item = ControllerResult>,
 ) -> SuiteResult {
     let mut tested = tested.into_iter();
     let mut test = |test: &TestSpec| TestResult {
         name: test.name.clone(),
         is_as_stated: test.is_as_stated(),
-        figures: test.figures.clone(),
+        parameters: test.parameters.clone(),
         impact_at_most: test.impact_at_most.clone(),
         controllers: tested.by_ref().take(controllers).collect(),
     };
     let clause = |clause: &ClauseSpec| ClauseResult {
         clause: clause.clause.clone(),
-        says: clause.says.clone(),
+        summary: clause.summary.clone(),
         tests: clause.tests.iter().map(&mut test).collect(),
     };
     SuiteResult {
@@ -148,9 +148,9 @@ pub(super) fn assemble(
         suite: spec.name.clone(),
         document: spec.document.clone(),
         edition: spec.edition.clone(),
-        figures_from: spec.figures_from.clone(),
-        outside: spec.outside.clone(),
-        left_out: spec.left_out.clone(),
+        parameter_source: spec.parameter_source.clone(),
+        not_modelled: spec.not_modelled.clone(),
+        omitted_parameters: spec.omitted_parameters.clone(),
         estimator,
         clauses: spec.clauses.iter().map(clause).collect(),
     }
@@ -175,70 +175,70 @@ impl<'t> TestGrid<'t> {
         let grid = if test.lead.is_some() { test.grid() } else { Vec::new() };
         let name = format!("{suite}-{}", test.name);
         let named = |(point, number): (&Vec<f64>, usize)| {
-            let about = format!("{about} ({}.) {STATEMENT}", test.in_words(point));
+            let about = format!("{about} ({}.) {DISCLAIMER}", test.describe_point(point));
             test.scenario(&format!("{name}-{number:03}"), &about, point)
         };
         let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
-        Ok(Self { name, about: format!("{about} {STATEMENT}"), test, criterion: test.criterion(), grid, scenarios })
+        Ok(Self { name, about: format!("{about} {DISCLAIMER}"), test, criterion: test.criterion(), grid, scenarios })
     }
 
-    fn run(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut PreventabilityCache) -> Tested {
+    fn run(&self, controller: &NamedController, estimator: EstimatorKind, known: &mut PreventabilityCache) -> ControllerResult {
         let driven = ControllerSetup { controller: &controller.kind, estimator };
-        let seen = match (self.criterion, &self.test.refused) {
-            (Some(criterion), _) => driven.seen(criterion, &self.scenarios),
-            (None, reason) => vec![Seen::refused(reason.clone().unwrap_or_default())],
+        let seen = match (self.criterion, &self.test.refusal_reason) {
+            (Some(criterion), _) => driven.run_scenarios(criterion, &self.scenarios),
+            (None, reason) => vec![RunResult::refused(reason.clone().unwrap_or_default())],
         };
         let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict)).unwrap_or(&TestVerdict::Passed);
         let gaps = seen.iter().filter_map(|seen| seen.min_gap_m);
-        Tested {
+        ControllerResult {
             controller: controller.name.clone(),
             verdict: of_grid.clone(),
             points: self.grid.len(),
-            passed: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
+            passed_points: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
             min_gap_m: gaps.reduce(f64::min),
-            margins: self.criterion.map(|criterion| margins(self.test, criterion, &driven)).unwrap_or_default(),
-            within: self.within(&driven, known),
-            failed: self.failed(&self.grid, &self.scenarios, &seen, known),
+            margins: self.criterion.map(|criterion| find_margins(self.test, criterion, &driven)).unwrap_or_default(),
+            worst_in_tolerance: self.worst_in_tolerance(&driven, known),
+            failed_points: self.failed_points(&self.grid, &self.scenarios, &seen, known),
         }
     }
 
-    fn worst_in_tolerance(&self, driven: &ControllerSetup<'_>, known: &mut PreventabilityCache) -> Option<Within> {
-        let WorstPoint { point, scenario, seen, tried, failures, unanswered } =
-            worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
+    fn worst_in_tolerance(&self, driven: &ControllerSetup<'_>, known: &mut PreventabilityCache) -> Option<WorstInTolerance> {
+        let WorstPoint { point, scenario, result: seen, points_run: tried, failures, unanswered } =
+            find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (points, scenarios, all) = ([point], [scenario], [seen]);
-        let failed = self.failed(&points, &scenarios, &all, known).pop();
+        let failed = self.failed_points(&points, &scenarios, &all, known).pop();
         let ([point], [seen]) = (points, all);
-        Some(Within {
-            point: self.test.in_words(&point),
+        Some(WorstInTolerance {
+            point: self.test.describe_point(&point),
             verdict: seen.verdict,
             min_gap_m: seen.min_gap_m,
-            tried,
+            points_run: tried,
             failures,
             unanswered,
-            failed,
+            failed_point: failed,
         })
     }
 
-    fn failed_points(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[Seen], known: &mut PreventabilityCache) -> Vec<Failed> {
+    fn failed_points(&self, points: &[Vec<f64>], scenarios: &[Scenario], seen: &[RunResult], known: &mut PreventabilityCache) -> Vec<FailedPoint> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
         // Where a controller gave no answer there may be nothing to prevent.
-        let is_silent = |seen: &Seen| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
+        let is_silent = |seen: &RunResult| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
         let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
-        let prevented = self.criterion.map(|criterion| prevented(criterion, &scenarios, known)).unwrap_or_default();
+        let prevented = self.criterion.map(|criterion| assess_preventability(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
-        let nobody = || Preventability { references: Vec::new(), classed: Classed::default() };
+        let nobody = || Preventability { references: Vec::new(), classification: AvoidabilityAnalysis::default() };
         let with = failed.into_iter().map(|one| {
             let prevented = if is_silent(one.1) { None } else { prevented.next() };
             (one, prevented.unwrap_or_else(nobody))
         });
-        let told = with.map(|(((point, scenario), seen), prevented)| Failed {
-            point: self.test.in_words(point),
+        let told = with.map(|(((point, scenario), seen), prevented)| FailedPoint {
+            point: self.test.describe_point(point),
             verdict: seen.verdict.clone(),
             references: prevented.references,
-            avoidability: prevented.classed.avoidability,
-            escape: prevented.classed.escape,
+            avoidability: prevented.classification.avoidability,
+            escape: prevented.classification.escape,
             scenario_name: scenario.spec().name.clone(),
             scenario: scenario.clone(),
         });
@@ -248,26 +248,26 @@ impl<'t> TestGrid<'t> {
 
 impl ControllerSetup<'_> {
     /// What each scenario shows.
-    pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<Seen> {
+    pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<RunResult> {
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
         let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
         let mut refused = Vec::new();
         let mut runs = Vec::new();
         for run in prepared {
-            refused.push(run.as_ref().err().map(|error| Seen::refused(error.to_string())));
+            refused.push(run.as_ref().err().map(|error| RunResult::refused(error.to_string())));
             runs.extend(run.ok());
         }
         let mut seen =
-            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judged(criterion, &simulated)).into_iter();
-        let unseen = || Seen::refused("was not run".to_owned());
+            simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| judge(criterion, &simulated)).into_iter();
+        let unseen = || RunResult::refused("was not run".to_owned());
         refused.into_iter().map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen)).collect()
     }
 }
 
-fn judge(criterion: Criterion, simulated: &Simulated) -> Seen {
+fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
     let lead = criterion.lead;
     let trace = simulated.trace.as_ref();
-    let end_s = trace.and_then(|trace| end_s(lead, trace));
+    let end_s = trace.and_then(|trace| test_end_s(lead, trace));
     let verdict = match &simulated.outcome {
         Outcome::Collision(contact)
             if end_s.is_none_or(|end_s| contact.time_s <= end_s) && !criterion.passes(contact.impact_speed_mps) =>
@@ -279,8 +279,8 @@ fn judge(criterion: Criterion, simulated: &Simulated) -> Seen {
         }
         Outcome::NoCollision | Outcome::Collision(_) => TestVerdict::Passed,
     };
-    let own = simulated.vehicles.get(lead.under_test());
-    Seen {
+    let own = simulated.vehicles.get(lead.under_test_index());
+    RunResult {
         verdict,
         min_gap_m: own.and_then(|own| own.min_gap_m),
         max_brake_mps2: own.map_or(0.0, |own| own.max_brake_mps2),
@@ -288,12 +288,12 @@ fn judge(criterion: Criterion, simulated: &Simulated) -> Seen {
 }
 
 /// When the test is over: what comes afterwards is no part of it.
-fn test_end_s(lead: Lead, trace: &Trace) -> Option<f64> {
+fn test_end_s(lead: LeadManeuver, trace: &Trace) -> Option<f64> {
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
-        Lead::Slower | Lead::CutIn => own_mps <= ahead_mps,
-        Lead::Stopped | Lead::Decelerating | Lead::CutOut => own_mps == 0.0,
+        LeadManeuver::Slower | LeadManeuver::CutIn => own_mps <= ahead_mps,
+        LeadManeuver::Stopped | LeadManeuver::Decelerating | LeadManeuver::CutOut => own_mps == 0.0,
     };
-    let pairs = trace.pairs(lead.under_test());
+    let pairs = trace.pairs(lead.under_test_index());
     let pair = pairs.last()?;
     let over = |sample: usize| {
         let speeds = pair.front.speed_mps.get(sample).zip(pair.rear.speed_mps.get(sample));

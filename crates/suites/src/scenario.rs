@@ -5,8 +5,8 @@ use crumple_world::scenario::{
     ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
 
-use super::parameter::Parameter;
-use super::spec::{Lead, TestSpec};
+use super::parameter::ParameterKind;
+use super::spec::{LeadManeuver, TestSpec};
 
 /// When the vehicle ahead begins to brake and when vehicles cut in, in seconds: at once. A controller that drove before would come to
 /// another speed and gap than the clause states.
@@ -27,9 +27,9 @@ const VEHICLE_CLASS: VehicleClass = VehicleClass::Light;
 
 impl TestSpec {
     /// The value of a parameter at a point, in SI units; 0 if it is not stated.
-    pub(super) fn si_value(&self, point: &[f64], parameter: Parameter) -> f64 {
-        let value = |(place, figure): (usize, &super::Figure)| Some(point.get(place)? * figure.unit.si_factor());
-        self.place(parameter).and_then(value).unwrap_or(0.0)
+    pub(super) fn si_value(&self, point: &[f64], parameter: ParameterKind) -> f64 {
+        let value = |(place, figure): (usize, &super::TestParameter)| Some(point.get(place)? * figure.unit.si_factor());
+        self.find_parameter(parameter).and_then(value).unwrap_or(0.0)
     }
 
     /// The scenario of a point: the vehicles ahead, and the one under test behind them.
@@ -37,8 +37,8 @@ impl TestSpec {
     /// # Errors
     /// [`InvalidField`] for a point that makes none; never for one of a valid suite's grid.
     pub fn scenario(&self, name: &str, about: &str, point: &[f64]) -> Result<Scenario, InvalidField> {
-        let own_mps = self.si(point, Parameter::OwnSpeed);
-        let (mut vehicles, meets_s) = self.others(point, own_mps);
+        let own_mps = self.si_value(point, ParameterKind::OwnSpeed);
+        let (mut vehicles, meets_s) = self.vehicles_ahead(point, own_mps);
         vehicles.push(VehicleSpec::new(VEHICLE_CLASS, 0.0, own_mps, Driver::UnderTest));
         Scenario::new(ScenarioSpec {
             version: SCENARIO_VERSION,
@@ -55,43 +55,43 @@ impl TestSpec {
 
     /// The gap at the start of a point that states it, as a length or as the time that driving it takes, in metres.
     fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
-        match self.place(Parameter::TimeGap) {
-            Some(_) => self.si(point, Parameter::TimeGap) * own_mps,
-            None => self.si(point, Parameter::Gap),
+        match self.find_parameter(ParameterKind::TimeGap) {
+            Some(_) => self.si_value(point, ParameterKind::TimeGap) * own_mps,
+            None => self.si_value(point, ParameterKind::Gap),
         }
     }
 
     /// The vehicles ahead, and when they would have been met or stand, in seconds.
     fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
-        let si = |parameter| self.si(point, parameter);
-        let steady = |gap_m: f64, speed_mps: f64| scripted(gap_m, speed_mps, LeadProfile::ConstantSpeed);
-        let closing_s = si(Parameter::ClosingTime);
+        let si = |parameter| self.si_value(point, parameter);
+        let steady = |gap_m: f64, speed_mps: f64| scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed);
+        let closing_s = si(ParameterKind::ClosingTime);
         match self.lead {
-            Some(Lead::Decelerating) => {
-                let (rate_mps2, ramp_s) = (si(Parameter::Deceleration), si(Parameter::Ramp));
-                let mut lead = scripted(self.gap_m(point, own_mps), own_mps, braking(rate_mps2, ramp_s));
+            Some(LeadManeuver::Decelerating) => {
+                let (rate_mps2, ramp_s) = (si(ParameterKind::Deceleration), si(ParameterKind::Ramp));
+                let mut lead = scripted_vehicle(self.gap_m(point, own_mps), own_mps, braking_profile(rate_mps2, ramp_s));
                 if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
                     lead.max_brake_mps2 = Some(rate_mps2);
                 }
                 (vec![lead], ramp_s + own_mps / rate_mps2.max(0.1))
             }
-            Some(Lead::CutIn) => {
-                let lead_mps = si(Parameter::LeadSpeed);
+            Some(LeadManeuver::CutIn) => {
+                let lead_mps = si(ParameterKind::LeadSpeed);
                 let mut lead = steady(closing_s * (own_mps - lead_mps), lead_mps);
                 lead.enters = Some(LaneChange::At(ONSET_S));
                 (vec![steady(lead.position_m + DUMMY_LEAD_GAP_M, own_mps), lead], closing_s)
             }
-            Some(Lead::CutOut) => {
+            Some(LeadManeuver::CutOut) => {
                 let mut lead = steady(self.gap_m(point, own_mps), own_mps);
                 lead.leaves = Some(LaneChange::At(CUT_OUT_S));
                 let meets_s = CUT_OUT_S + closing_s;
                 (vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead], meets_s)
             }
-            Some(Lead::Slower) => {
-                let lead_mps = si(Parameter::LeadSpeed);
+            Some(LeadManeuver::Slower) => {
+                let lead_mps = si(ParameterKind::LeadSpeed);
                 (vec![steady(closing_s * (own_mps - lead_mps), lead_mps)], closing_s)
             }
-            Some(Lead::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
+            Some(LeadManeuver::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
         }
     }
 }

@@ -8,11 +8,11 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::rows::ControllerResultRow;
-use super::run::{SuiteRunError, assembled, each, pieces};
-use super::{InvalidSuite, Suite, SuiteResult, SuiteSpec, Tested};
-use crumple_core::observer::{Observer, Progress, Stopped};
-use crumple_store::shard::{MergeError, Mergeable, Merged, Shard, Sharded, TooManyShards, open_shard};
-use crumple_store::work::{Finished, Work, WorkError};
+use super::run::{SuiteRunError, assemble, run_pairs, pair_count};
+use super::{InvalidSuite, TestSuite, SuiteResult, SuiteSpec, ControllerResult};
+use crumple_core::observer::{Observer, RunProgress, Stopped};
+use crumple_store::shard::{MergeError, Mergeable, MergedShards, ShardId, Sharded, TooManyShards, open_shard};
+use crumple_store::run_folder::{CompletedRun, RunFolder, RunFolderError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -25,7 +25,7 @@ pub const SUITE_SHARD_KIND: &str = "shard of a suite";
 pub enum SuiteShardError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// There are more shards than tests and controllers.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
@@ -78,14 +78,14 @@ pub struct ShardedSuite {
 impl Sharded for ShardedSuite {
     const KIND: &'static str = SUITE_SHARD_KIND;
     const VERSION: u32 = 1;
-    const RESULTS: &'static str = "results.json";
-    const PARTS: &'static str = "pairs of a test and a controller";
+    const RESULTS_FILE: &'static str = "results.json";
+    const PARTS_NAME: &'static str = "pairs of a test and a controller";
 
-    fn parts(&self) -> u64 {
-        pieces(&self.run.suite, self.run.controllers.len())
+    fn part_count(&self) -> u64 {
+        pair_count(&self.run.suite, self.run.controllers.len())
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    fn differing_field(&self, other: &Self) -> Option<String> {
         let (own, other) = (&self.run, &other.run);
         let fields = [
             ("the version of crumple", own.crumple != other.crumple),
@@ -97,7 +97,7 @@ impl Sharded for ShardedSuite {
     }
 
     fn problem(&self) -> Option<String> {
-        let InvalidSuite { field, problem } = Suite::new(self.run.suite.clone()).err()?;
+        let InvalidSuite { field, problem } = TestSuite::new(self.run.suite.clone()).err()?;
         Some(format!("run.suite.{field}: {problem}"))
     }
 }
@@ -106,15 +106,15 @@ impl Mergeable for ShardedSuite {
     type File = SuiteShardResults;
     type SuiteShardResults = Vec<ControllerResultRow>;
 
-    fn check(&self, results: SuiteShardResults, shard: Shard, own: &Range<u64>) -> Result<Vec<ControllerResultRow>, String> {
+    fn check(&self, results: SuiteShardResults, shard: ShardId, own: &Range<u64>) -> Result<Vec<ControllerResultRow>, String> {
         let names = self.run.controllers.iter().map(|(name, _)| name).cycle();
         let places = names.skip((own.start % self.run.controllers.len().max(1) as u64) as usize);
-        let is_of = results.tested.iter().zip(places).all(|(tested, name)| tested.controller == *name);
-        if results.tested.len() as u64 != own.end - own.start || !is_of {
+        let is_of = results.rows.iter().zip(places).all(|(tested, name)| tested.controller == *name);
+        if results.rows.len() as u64 != own.end - own.start || !is_of {
             return Err(format!("not what shard {shard} of that suite comes to"));
         }
-        results.tested.iter().try_for_each(|row| row.clone().read().map(drop))?;
-        Ok(results.tested)
+        results.rows.iter().try_for_each(|row| row.clone().decode().map(drop))?;
+        Ok(results.rows)
     }
 }
 
@@ -143,19 +143,19 @@ pub struct SuiteShardResults {
 /// [`SuiteShardError`] if there are fewer pieces than shards, a controller states no identity, the folder cannot be used, or `observer`
 /// stops the shard.
 pub fn run_shard(
-    suite: &Suite,
+    suite: &TestSuite,
     controllers: &[NamedController],
     estimator: EstimatorKind,
-    shard: Shard,
+    shard: ShardId,
     folder: &Path,
     resume: bool,
-    observer: &dyn Observer<Progress>,
+    observer: &dyn Observer<RunProgress>,
 ) -> Result<u64, SuiteShardError> {
-    let all = shard.range(pieces(suite.spec(), controllers.len()), ShardedSuite::PARTS)?;
+    let all = shard.range(pair_count(suite.spec(), controllers.len()), ShardedSuite::SWEEP_PARTS)?;
     let count = all.end - all.start;
     let identified = |controller: &NamedController| {
         let identity = controller.kind.identity();
-        let identity = identity.ok_or_else(|| SuiteShardError::Unknown(controller.name.clone()))?;
+        let identity = identity.ok_or_else(|| SuiteShardError::NoIdentity(controller.name.clone()))?;
         Ok::<_, SuiteShardError>((controller.name.clone(), identity))
     };
     let run = SuiteRun {
@@ -168,32 +168,32 @@ pub fn run_shard(
     if work.is_complete() {
         return Ok(count);
     }
-    let mut results = resumed(&work)?;
-    let known = results.tested.len() as u64;
+    let mut results = read_results(&work)?;
+    let known = results.rows.len() as u64;
     if known > count {
-        return Err(WorkError::damaged(&work.path(ShardedSuite::RESULTS), "more than the shard has").into());
+        return Err(RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), "more than the shard has").into());
     }
-    each(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
-        results.tested.push(ControllerResultRow::of(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
-        work.write(ShardedSuite::RESULTS, json(&results)?)?;
-        Ok::<(), SuiteShardError>(observer.notify(&Progress { done: results.tested.len() as u64, total: Some(count) })?)
+    run_pairs(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
+        results.rows.push(ControllerResultRow::encode(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
+        work.write(ShardedSuite::RESULTS_FILE, to_json(&results)?)?;
+        Ok::<(), SuiteShardError>(observer.notify(&RunProgress { done: results.rows.len() as u64, total: Some(count) })?)
     })?;
     work.finish()?;
     Ok(count)
 }
 
-fn read_results(work: &Work) -> Result<SuiteShardResults, WorkError> {
-    let Some(bytes) = work.read(ShardedSuite::RESULTS)? else { return Ok(SuiteShardResults::default()) };
+fn read_results(work: &RunFolder) -> Result<SuiteShardResults, RunFolderError> {
+    let Some(bytes) = work.read(ShardedSuite::RESULTS_FILE)? else { return Ok(SuiteShardResults::default()) };
     serde_json::from_slice(&bytes)
-        .map_err(|error| WorkError::damaged(&work.path(ShardedSuite::RESULTS), error.to_string()))
+        .map_err(|error| RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), error.to_string()))
 }
 
 /// Shards of one run of a suite.
 #[derive(Debug)]
-pub struct MergedSuite(Merged<ShardedSuite>);
+pub struct MergedSuite(MergedShards<ShardedSuite>);
 
 impl Deref for MergedSuite {
-    type Target = Merged<ShardedSuite>;
+    type Target = MergedShards<ShardedSuite>;
 
     fn deref(&self) -> &Self::Target {
         &self.0
@@ -211,8 +211,8 @@ impl MergedSuite {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        Merged::of(folder, found).map(Self)
+    pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
+        MergedShards::new(folder, found).map(Self)
     }
 
     /// Tests that no shard has run, each with its controller, in words.
@@ -220,7 +220,7 @@ impl MergedSuite {
     pub fn missing_tests(&self) -> Vec<String> {
         let tests = self.work().run.suite.clauses.iter().flat_map(|clause| &clause.tests);
         let named = tests.flat_map(|test| self.work().run.controllers.iter().map(move |(name, _)| (&test.name, name)));
-        let missing = self.missing();
+        let missing = self.missing_ranges();
         let is_missing = |index: u64| missing.iter().any(|range| range.contains(&index));
         let named = (0..).zip(named).filter(|(index, _)| is_missing(*index));
         named.map(|(_, (test, controller))| format!("{test} ({controller})")).collect()
@@ -234,7 +234,7 @@ impl MergedSuite {
                 .map_err(|source| UnavailableController::NotFound { name: name.clone(), source: Box::new(source) })?;
             match found.kind.identity() {
                 Some(identity) if identity == *recorded => Ok(NamedController { name: name.clone(), ..found }),
-                other => Err(UnavailableController::Other {
+                other => Err(UnavailableController::OtherIdentity {
                     name: name.clone(),
                     recorded: recorded.clone(),
                     found: other.unwrap_or_else(|| "none".to_owned()),
@@ -248,9 +248,9 @@ impl MergedSuite {
     pub fn result(&self) -> Option<SuiteResult> {
         let rows = self.results().flatten().cloned();
         // All of them were read once already.
-        let tested: Vec<Tested> = rows.filter_map(|row| row.read().ok()).collect();
-        let (run, is_complete) = (&self.work().run, tested.len() as u64 == self.work().parts());
-        is_complete.then(|| assembled(&run.suite, run.estimator, run.controllers.len(), tested))
+        let tested: Vec<ControllerResult> = rows.filter_map(|row| row.read().ok()).collect();
+        let (run, is_complete) = (&self.work().run, tested.len() as u64 == self.work().part_count());
+        is_complete.then(|| assemble(&run.suite, run.estimator, run.controllers.len(), tested))
     }
 }
 

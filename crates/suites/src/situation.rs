@@ -4,10 +4,10 @@ use crumple_world::control::R157SimpleSettings;
 use crumple_world::scenario::{InvalidField, Scenario, VehicleClass};
 use serde::Serialize;
 
-use super::Suite;
-use super::parameter::{Figure, Figures, Origin, Unit};
+use super::TestSuite;
+use super::parameter::{TestParameter, TestParameters, Origin, ParameterUnit};
 use super::result::DISCLAIMER;
-use super::spec::{Lead, TestSpec};
+use super::spec::{LeadManeuver, TestSpec};
 
 /// Kilometres an hour in a metre a second.
 const KMPH_PER_MPS: f64 = 3.6;
@@ -105,7 +105,7 @@ impl CrashMapSituation {
     /// Whether what is held lies in its range.
     pub(super) fn is_in_range(self) -> bool {
         let ([low, high], value) = match self {
-            Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_S, time_gap_s),
+            Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_RANGE_S, time_gap_s),
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => {
                 (Self::OWN_SPEED_RANGE_KMPH, own_speed_kmph)
             }
@@ -132,32 +132,32 @@ impl CrashMapSituation {
         }
     }
 
-    pub(super) fn lead_maneuver(self) -> Lead {
+    pub(super) fn lead_maneuver(self) -> LeadManeuver {
         match self {
-            Self::CarFollowing { .. } => Lead::Decelerating,
-            Self::CutInGap { .. } | Self::CutInTime { .. } => Lead::CutIn,
+            Self::CarFollowing { .. } => LeadManeuver::Decelerating,
+            Self::CutInGap { .. } | Self::CutInTime { .. } => LeadManeuver::CutIn,
         }
     }
 
     /// The scenario of a cell.
     pub(super) fn scenario(self, across: f64, up: f64) -> Result<Scenario, InvalidField> {
-        let figure = |value, unit| Some(Figure::chosen(value, unit));
+        let figure = |value, unit| Some(TestParameter::from_chosen(value, unit));
         let figures = match self {
-            Self::CarFollowing { time_gap_s } => Figures {
-                own_speed: figure(up, Unit::Kmph),
-                gap: figure(time_gap_s * up / KMPH_PER_MPS, Unit::Metre),
-                deceleration: figure(across, Unit::Mps2),
-                ramp: figure(0.0, Unit::Second),
-                ..Figures::default()
+            Self::CarFollowing { time_gap_s } => TestParameters {
+                own_speed: figure(up, ParameterUnit::Kmph),
+                gap: figure(time_gap_s * up / KMPH_PER_MPS, ParameterUnit::Metre),
+                deceleration: figure(across, ParameterUnit::Mps2),
+                ramp: figure(0.0, ParameterUnit::Second),
+                ..TestParameters::default()
             },
-            Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => Figures {
-                own_speed: figure(own_speed_kmph, Unit::Kmph),
-                lead_speed: figure(own_speed_kmph - across, Unit::Kmph),
-                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH_PER_MPS) }, Unit::Second),
-                ..Figures::default()
+            Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => TestParameters {
+                own_speed: figure(own_speed_kmph, ParameterUnit::Kmph),
+                lead_speed: figure(own_speed_kmph - across, ParameterUnit::Kmph),
+                closing_time: figure(if self.is_by_time() { up } else { up / (across / KMPH_PER_MPS) }, ParameterUnit::Second),
+                ..TestParameters::default()
             },
         };
-        let test = TestSpec { name: self.name().to_owned(), lead: Some(self.lead()), figures, ..TestSpec::default() };
+        let test = TestSpec { name: self.name().to_owned(), lead: Some(self.lead_maneuver()), parameters: figures, ..TestSpec::default() };
         let point: Vec<f64> = test.grid().concat();
         test.scenario(&format!("{}-{across}-{up}", self.name()), DISCLAIMER, &point)
     }
@@ -176,9 +176,9 @@ impl CrashMapSituation {
         ];
         let line = |(driver, words, reaction_s, brake_mps2): (_, &str, f64, f64)| {
             let points = (0..=200).map(|part| across.low + (across.high - across.low) * f64::from(part) / 200.0);
-            let points = points.filter_map(|at| Some([at, self.limit(at, reaction_s, brake_mps2)?])).collect();
+            let points = points.filter_map(|at| Some([at, self.contact_limit(at, reaction_s, brake_mps2)?])).collect();
             let words = format!("{words}: {brake_mps2} m/s² from {reaction_s} s");
-            Boundary { words, driver, reaction_s, brake_mps2, points }
+            Boundary { label: words, driver, reaction_s, brake_mps2, points }
         };
         let is_on_map = |line: &Boundary| line.points.iter().any(|[_, at]| (up.low..=up.high).contains(at));
         lines.into_iter().map(line).filter(is_on_map).collect()
@@ -204,7 +204,7 @@ impl CrashMapSituation {
 
     /// Whether the closed form says that a cell ends in contact; none where it says nothing.
     pub(super) fn predicts_contact(self, line: &Boundary, [across, up]: [f64; 2]) -> Option<bool> {
-        let limit = self.limit(across, line.reaction_s, line.brake_mps2);
+        let limit = self.contact_limit(across, line.reaction_s, line.brake_mps2);
         match self {
             Self::CarFollowing { time_gap_s } if time_gap_s < line.reaction_s => None,
             // What is not noticed at once is another story.
@@ -222,12 +222,12 @@ impl CrashMapSituation {
     pub(super) fn stated_points(self) -> Vec<[f64; 2]> {
         let suite = match self {
             Self::CarFollowing { .. } => None,
-            Self::CutInGap { .. } | Self::CutInTime { .. } => Suite::shipped("afgbv-cut-in").and_then(Result::ok),
+            Self::CutInGap { .. } | Self::CutInTime { .. } => TestSuite::shipped("afgbv-cut-in").and_then(Result::ok),
         };
         let point = |test: &TestSpec| {
-            let first = |figure: &Option<Figure>| figure.as_ref()?.values.first().copied();
-            let stated = test.figures.closing_time.as_ref().filter(|figure| figure.origin == Origin::Document)?;
-            let slower_kmph = first(&test.figures.own_speed)? - first(&test.figures.lead_speed)?;
+            let first = |figure: &Option<TestParameter>| figure.as_ref()?.values.first().copied();
+            let stated = test.parameters.closing_time.as_ref().filter(|figure| figure.origin == Origin::Document)?;
+            let slower_kmph = first(&test.parameters.own_speed)? - first(&test.parameters.lead_speed)?;
             let time_s = *stated.values.first()?;
             Some([slower_kmph, if self.is_by_time() { time_s } else { time_s * slower_kmph / KMPH_PER_MPS }])
         };

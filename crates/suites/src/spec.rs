@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameter::{Figure, Figures, ImpactLimit, Origin, Parameter};
+use super::parameter::{TestParameter, TestParameters, ImpactLimit, Origin, ParameterKind};
 use super::run::Criterion;
 
 /// A suite as a file states it: plain data that may hold nonsense.
@@ -69,14 +69,14 @@ pub struct TestSpec {
     /// Its figures. The test is run at every combination of their values.
     #[serde(default)]
     #[serde(rename = "figures")]
-    pub parameters: Figures,
+    pub parameters: TestParameters,
     /// The fastest contact at which it passes nevertheless; without it no contact passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
     /// Figures of which the document allows every value from the smallest to the largest: the worst point is searched for there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(length(max = 7)))]
-    pub ranges: Vec<Parameter>,
+    pub ranges: Vec<ParameterKind>,
     /// How it is pushed until it fails.
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(length(max = 10)))]
@@ -111,7 +111,7 @@ pub enum LeadManeuver {
 pub struct MarginSweep {
     /// What is pushed, from the value of the grid that is next to `to`.
     #[serde(rename = "push")]
-    pub parameter: Parameter,
+    pub parameter: ParameterKind,
     /// How far, in the unit of the figure; beyond all its values.
     pub to: f64,
 }
@@ -119,8 +119,8 @@ pub struct MarginSweep {
 impl LeadManeuver {
     /// The figures that it needs: one of each entry.
     #[must_use]
-    pub(crate) fn parameters(self) -> &'static [&'static [Parameter]] {
-        use Parameter::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
+    pub(crate) fn parameters(self) -> &'static [&'static [ParameterKind]] {
+        use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
         match self {
             Self::Stopped => &[&[OwnSpeed], &[ClosingTime]],
             Self::Slower | Self::CutIn => &[&[OwnSpeed], &[LeadSpeed], &[ClosingTime]],
@@ -160,7 +160,7 @@ impl TestSpec {
     /// Whether all that the document asks for is as it states it; else some figure was chosen.
     #[must_use]
     pub(crate) fn is_as_stated(&self) -> bool {
-        let figures = self.figures.stated().map(|(_, figure)| figure.origin);
+        let figures = self.parameters.iter().map(|(_, figure)| figure.origin);
         figures.chain(self.impact_at_most.iter().map(|limit| limit.origin)).all(|origin| origin != Origin::Chosen)
     }
 
@@ -173,7 +173,7 @@ impl TestSpec {
     /// Every combination of the figures' values, in the units of the figures; the last figure varies fastest.
     #[must_use]
     pub fn grid(&self) -> Vec<Vec<f64>> {
-        self.figures.stated().fold(vec![Vec::new()], |points, (_, figure)| {
+        self.parameters.iter().fold(vec![Vec::new()], |points, (_, figure)| {
             let extended = |point: &Vec<f64>| {
                 let each = |&value: &f64| point.iter().copied().chain([value]).collect();
                 figure.values.iter().map(each).collect::<Vec<_>>()
@@ -184,26 +184,26 @@ impl TestSpec {
 
     /// How many combinations there are.
     pub(super) fn point_count(&self) -> usize {
-        self.figures.stated().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
+        self.parameters.iter().fold(1, |points: usize, (_, figure)| points.saturating_mul(figure.values.len()))
     }
 
     /// Where a parameter stands in a point.
-    pub(super) fn find_parameter(&self, parameter: Parameter) -> Option<(usize, &Figure)> {
-        let mut stated = self.figures.stated().enumerate();
+    pub(super) fn find_parameter(&self, parameter: ParameterKind) -> Option<(usize, &TestParameter)> {
+        let mut stated = self.parameters.iter().enumerate();
         stated.find(|(_, (found, _))| *found == parameter).map(|(place, (_, figure))| (place, figure))
     }
 
     /// A point in words, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
     pub(crate) fn describe_point(&self, point: &[f64]) -> String {
-        self.words(point, None)
+        self.describe_point_without(point, None)
     }
 
     /// A point in words, without the value at a place.
     pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
-        let each = self.figures.stated().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
+        let each = self.parameters.iter().zip(point).enumerate().filter(|(place, _)| Some(*place) != without);
         let words =
-            each.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.words(), figure.unit));
+            each.map(|(_, ((parameter, figure), value))| format!("{} {value} {}", parameter.label(), figure.unit));
         words.collect::<Vec<_>>().join(", ")
     }
 }

@@ -4,14 +4,14 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 
-use super::parameter::Figure;
-use super::result::{Failed, TestVerdict};
-use super::run::{Criterion, Driven, Seen};
+use super::parameter::TestParameter;
+use super::result::{FailedPoint, TestVerdict};
+use super::run::{Criterion, ControllerSetup, RunResult};
 use super::spec::TestSpec;
 use crumple_core::digest::sha256;
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
 /// Points that are drawn evenly, at least one for each of the grid, then how often and how many near the worst so far.
 const SAMPLES: usize = 256;
@@ -34,26 +34,26 @@ pub struct WorstInTolerance {
     pub failures: usize,
     /// In how many of those the controller gave no answer, and why in the first of them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<Unanswered>,
+    pub unanswered: Option<FailedControllerRuns>,
     /// What is known of it, if it failed.
     #[serde(rename = "failed")]
-    pub failed_point: Option<Failed>,
+    pub failed_point: Option<FailedPoint>,
 }
 
 /// A point, its scenario and what a run showed.
 pub(super) struct WorstPoint {
     pub(super) point: Vec<f64>,
     pub(super) scenario: Scenario,
-    pub(super) result: Seen,
+    pub(super) result: RunResult,
     pub(super) points_run: usize,
     pub(super) failures: usize,
-    pub(super) unanswered: Option<Unanswered>,
+    pub(super) unanswered: Option<FailedControllerRuns>,
 }
 
 /// A figure that is searched over.
 struct SearchRange<'t> {
     position: usize,
-    figure: &'t Figure,
+    figure: &'t TestParameter,
     /// Whether the clause allows all values between those of the grid, not only their tolerances.
     spans_grid: bool,
 }
@@ -61,10 +61,10 @@ struct SearchRange<'t> {
 impl SearchRange<'_> {
     /// Between what its value may lie at a point of the grid.
     fn ends(&self, point: &[f64]) -> Option<[f64; 2]> {
-        let Figure { values, tolerance, .. } = self.figure;
-        let [first, last] = match self.is_whole {
+        let TestParameter { values, tolerance, .. } = self.figure;
+        let [first, last] = match self.spans_grid {
             true => [*values.first()?, *values.last()?],
-            false => [*point.get(self.place)?; 2],
+            false => [*point.get(self.position)?; 2],
         };
         Some([first - tolerance, last + tolerance])
     }
@@ -72,13 +72,13 @@ impl SearchRange<'_> {
 
 /// What is searched over: the ranges that the clause states, and tolerances.
 fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
-    let stated = test.figures.stated().enumerate();
+    let stated = test.parameters.iter().enumerate();
     let range = |(place, (parameter, figure)): (usize, (_, _))| SearchRange {
-        place,
+        position: place,
         figure,
-        is_whole: test.ranges.contains(&parameter),
+        spans_grid: test.ranges.contains(&parameter),
     };
-    stated.map(range).filter(|range| range.is_whole || range.figure.tolerance > 0.0).collect()
+    stated.map(range).filter(|range| range.spans_grid || range.figure.tolerance > 0.0).collect()
 }
 
 /// The worst point found within the ranges and tolerances of a test; none of a test without them. What is drawn depends on the
@@ -88,38 +88,38 @@ pub(super) fn find_worst(
     about: &str,
     test: &TestSpec,
     criterion: Criterion,
-    driven: &Driven<'_>,
+    driven: &ControllerSetup<'_>,
 ) -> Option<WorstPoint> {
-    let ranges = ranges(test);
+    let ranges = search_ranges(test);
     if ranges.is_empty() {
         return None;
     }
     let grid = test.grid();
     let mut search =
-        Search { name, about, test, criterion, driven, worst: None, tried: 0, failures: 0, unanswered: None };
+        WorstPointSearch { name, about, test, criterion, driven, worst: None, points_run: 0, failures: 0, unanswered: None };
     let mut stream = random::stream(0, Purpose::Search, 1);
     let drawn = (0..SAMPLES.max(grid.len())).filter_map(|index| {
         let home = grid.get(index % grid.len())?;
         let draw = |[low, high]: [f64; 2], _| low + (high - low) * stream.random::<f64>();
         Some((home.as_slice(), perturb(home, home, &ranges, draw)))
     });
-    search.look(drawn.collect());
-    for round in 1..=ROUNDS {
+    search.evaluate(drawn.collect());
+    for round in 1..=REFINEMENTS {
         let Some((home, centre)) = search.worst.as_ref().map(|(home, worst)| (*home, worst.point.clone())) else {
             break;
         };
         let width = 0.25 * 0.5_f64.powi(round);
-        let near = (0..NEAR).map(|_| {
+        let near = (0..SAMPLES_PER_REFINEMENT).map(|_| {
             let draw = |[low, high]: [f64; 2], value: f64| {
                 let normal: f64 = StandardNormal.sample(&mut stream);
                 value + width * (high - low) * normal
             };
             (home, perturb(home, &centre, &ranges, draw))
         });
-        search.look(near.collect());
+        search.evaluate(near.collect());
     }
-    let Search { tried, failures, unanswered, worst, .. } = search;
-    worst.map(|(_, worst)| WorstPoint { tried, failures, unanswered, ..worst })
+    let WorstPointSearch { points_run: tried, failures, unanswered, worst, .. } = search;
+    worst.map(|(_, worst)| WorstPoint { points_run: tried, failures, unanswered, ..worst })
 }
 
 /// A point, after the point of the grid that it belongs to.
@@ -131,30 +131,30 @@ struct WorstPointSearch<'t> {
     about: &'t str,
     test: &'t TestSpec,
     criterion: Criterion,
-    driven: &'t Driven<'t>,
+    driven: &'t ControllerSetup<'t>,
     /// The worst so far, with the point of the grid that it belongs to.
     worst: Option<(&'t [f64], WorstPoint)>,
     points_run: usize,
     failures: usize,
-    unanswered: Option<Unanswered>,
+    unanswered: Option<FailedControllerRuns>,
 }
 
-impl<'t> Search<'t> {
+impl<'t> WorstPointSearch<'t> {
     /// Runs points, each with the point of the grid that it belongs to.
     fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
         let made = points.into_iter().filter_map(|(home, point)| {
-            let name = format!("{}-within-{}", self.name, sha256(self.test.in_words(&point)).get(..8)?);
-            let about = format!("{} ({}.)", self.about, self.test.in_words(&point));
+            let name = format!("{}-within-{}", self.name, sha256(self.test.describe_point(&point)).get(..8)?);
+            let about = format!("{} ({}.)", self.about, self.test.describe_point(&point));
             Some((self.test.scenario(&name, &about, &point).ok()?, (home, point)))
         });
         let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = made.unzip();
-        let seen = self.driven.seen(self.criterion, &scenarios);
-        self.tried += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
+        let seen = self.driven.run_scenarios(self.criterion, &scenarios);
+        self.points_run += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
-        seen.iter().for_each(|seen| Unanswered::join(&mut self.unanswered, seen.verdict.unanswered()));
+        seen.iter().for_each(|seen| FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered()));
         for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
-            if self.worst.as_ref().is_none_or(|(_, worst)| badness(&seen) > badness(&worst.seen)) {
-                self.worst = Some((home, WorstPoint { point, scenario, seen, tried: 0, failures: 0, unanswered: None }));
+            if self.worst.as_ref().is_none_or(|(_, worst)| severity_key(&seen) > severity_key(&worst.result)) {
+                self.worst = Some((home, WorstPoint { point, scenario, result: seen, points_run: 0, failures: 0, unanswered: None }));
             }
         }
     }
@@ -169,8 +169,8 @@ fn perturb(
 ) -> Vec<f64> {
     let mut point = from.to_vec();
     for range in ranges {
-        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.place)) {
-            *value = rounded(draw([low, high], *value)).clamp(low, high);
+        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.position)) {
+            *value = round_to_thousandth(draw([low, high], *value)).clamp(low, high);
         }
     }
     point
@@ -182,7 +182,7 @@ fn round_to_thousandth(value: f64) -> f64 {
 }
 
 /// How bad a point is: contacts by their speed, then failures of controllers, then small gaps; what was refused is not looked for.
-fn severity_key(seen: &Seen) -> (u8, f64) {
+fn severity_key(seen: &RunResult) -> (u8, f64) {
     match &seen.verdict {
         TestVerdict::Refused { .. } => (0, 0.0),
         TestVerdict::Passed => (1, -seen.min_gap_m.unwrap_or(f64::INFINITY)),

@@ -19,16 +19,16 @@ impl EpisodeClusters {
     /// So many waves of one episode.
     #[must_use]
     pub(crate) fn singletons(episodes: u64) -> Self {
-        Self { waves: episodes, episodes, squares: episodes as f64, largest: 1 }
+        Self { clusters: episodes, episodes, sum_of_squares: episodes as f64, largest: 1 }
     }
 
     /// Waves of these sizes.
     #[must_use]
     pub(crate) fn from_sizes(sizes: &[u64]) -> Self {
         Self {
-            waves: sizes.len() as u64,
+            clusters: sizes.len() as u64,
             episodes: sizes.iter().sum(),
-            squares: sizes.iter().map(|&size| size as f64 * size as f64).sum(),
+            sum_of_squares: sizes.iter().map(|&size| size as f64 * size as f64).sum(),
             largest: sizes.iter().copied().max().unwrap_or(1),
         }
     }
@@ -42,7 +42,7 @@ impl EpisodeClusters {
 /// 16, 1997). Where every wave is of one episode, that is the exact interval of Poisson's distribution (Garwood, 1936).
 #[must_use]
 pub(crate) fn expected_count_interval(seen: EpisodeClusters, confidence: f64) -> [f64; 2] {
-    let (sum, variance, largest) = (seen.episodes as f64, seen.squares, seen.largest as f64);
+    let (sum, variance, largest) = (seen.episodes as f64, seen.sum_of_squares, seen.largest as f64);
     let tail = 0.5 * (1.0 - confidence);
     let quantile = |mean: f64, variance: f64, share: f64| {
         Gamma::new(mean * mean / variance, mean / variance).map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))

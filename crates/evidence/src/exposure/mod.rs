@@ -17,14 +17,14 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
-pub(crate) use counting::{EpisodeClusters, expected_episodes};
-pub(super) use resample_shards::{ResampleCountMismatch, Part, MergedResamples, own_resamples};
-pub(crate) use resampling::estimate_again;
-pub use resampling::{MIN_RESAMPLES, ResamplingError, Resamples, run_again};
+pub(crate) use counting::{EpisodeClusters, expected_count_interval};
+pub(super) use resample_shards::{ResampleCountMismatch, ResampleShard, MergedResamples, resample_range};
+pub(crate) use resampling::estimate_on_resamples;
+pub use resampling::{MIN_RESAMPLES, ResamplingError, Resamples, count_on_resamples};
 
 use super::RateInterval;
-use super::rare::Estimate;
-use crumple_world::scenario::space::Space;
+use super::rare::RareEstimate;
+use crumple_world::scenario::space::ScenarioSpace;
 
 /// Confidence of all intervals.
 pub const CONFIDENCE: f64 = 0.95;
@@ -72,7 +72,7 @@ pub struct RatePerExposure {
     /// Confidence of all intervals.
     pub confidence: f64,
     /// Taking the fitted space for the truth: counting and sampling alone.
-    pub fitted: Figures,
+    pub fitted: FailureRates,
     /// With the data's uncertainty, if it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "with_data")]
@@ -89,7 +89,7 @@ pub struct RatePerExposure {
 pub struct WithDataUncertainty {
     /// The figures.
     #[serde(rename = "figures")]
-    pub rates: Figures,
+    pub rates: FailureRates,
     /// Resamples of the episodes.
     pub resamples: u32,
     /// Those to which no space could be fitted.
@@ -119,7 +119,7 @@ pub enum FailureProbability<'a> {
         runs: u64,
     },
     /// An estimate by splitting.
-    Estimated(&'a Estimate),
+    Estimated(&'a RareEstimate),
 }
 
 impl FailureProbability<'_> {
@@ -134,14 +134,14 @@ impl FailureProbability<'_> {
     fn interval(self, confidence: f64) -> Option<[f64; 2]> {
         match self {
             Self::Counted { failures, unknown, runs } => Some([
-                RateInterval::exact(failures, runs, confidence).lower,
-                RateInterval::exact(failures + unknown, runs, confidence).upper,
+                RateInterval::clopper_pearson(failures, runs, confidence).lower,
+                RateInterval::clopper_pearson(failures + unknown, runs, confidence).upper,
             ]),
             // Repetitions that all say the same, such as that nothing or everything fails, say nothing of how far they may be off: the
             // draws that they began with do, which are independent.
             Self::Estimated(estimate) => {
                 let spread = estimate.interval(confidence).filter(|[low, high]| low < high);
-                spread.or_else(|| estimate.independent(confidence))
+                spread.or_else(|| estimate.independent_interval(confidence))
             }
         }
     }
@@ -160,12 +160,12 @@ impl RatePerExposure {
     /// What a probability comes to on the road; none where the space does not say in how much driving it was seen, or nothing is
     /// known of the probability.
     #[must_use]
-    pub fn new(space: &Space, known: FailureProbability<'_>, resamples: Result<&Resamples, &ResamplingError>) -> Option<Self> {
+    pub fn new(space: &ScenarioSpace, known: FailureProbability<'_>, resamples: Result<&Resamples, &ResamplingError>) -> Option<Self> {
         let exposure = space.spec().exposure.as_ref()?;
-        let seen = waves(space);
+        let seen = episode_clusters(space);
         let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);
         let [low, high] = known.interval(CONFIDENCE)?;
-        let counted = expected_episodes(seen, 1.0 - alpha / 2.0);
+        let counted = expected_count_interval(seen, 1.0 - alpha / 2.0);
         let episodes = exposure.episodes as f64;
         // With weights as those of Fay and Feuer, the interval is as many times as long.
         let stands_for = (episodes + exposure.left_out as f64) / episodes;
@@ -176,7 +176,7 @@ impl RatePerExposure {
                 lower: jointly[0] * stands_for * counted[0] / amount,
                 upper: jointly[1] * stands_for * counted[1] / amount,
             };
-            Figures {
+            FailureRates {
                 per_episode: IntervalEstimate { estimate, lower: low, upper: high },
                 per_hour: per(exposure.hours),
                 per_1000_km: per(exposure.kilometres / 1000.0),
@@ -187,42 +187,42 @@ impl RatePerExposure {
         let with_data = resamples.ok().and_then(|resamples| {
             // Resamples may lie all on one side of what was fitted to all episodes, and data that are uncertain make nothing more certain.
             let with = |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
-            let [low, high] = with(resamples.between(CONFIDENCE)?, [low, high]);
+            let [low, high] = with(resamples.percentile_interval(CONFIDENCE)?, [low, high]);
             Some(WithDataUncertainty {
-                figures: figures([estimate, low, high], with(resamples.between(1.0 - alpha / 2.0)?, jointly)),
+                rates: figures([estimate, low, high], with(resamples.percentile_interval(1.0 - alpha / 2.0)?, jointly)),
                 resamples: resamples.count(),
-                unfit: resamples.unfit,
+                failed_fits: resamples.failed_fits,
                 runs_each: resamples.runs_each,
-                counting_variance: seen.squares / episodes.powi(2),
-                data_variance: (estimate > 0.0).then(|| resamples.variance / (estimate * estimate)),
-                sampling_variance: known.variance(),
+                counting_variance: seen.sum_of_squares / episodes.powi(2),
+                data_variance: (estimate > 0.0).then(|| resamples.data_variance / (estimate * estimate)),
+                sampling_variance: known.relative_variance(),
             })
         });
         Some(Self {
             episodes: exposure.episodes,
             left_out: exposure.left_out,
-            waves: seen.waves,
+            clusters: seen.clusters,
             hours: exposure.hours,
             kilometres: exposure.kilometres,
             confidence: CONFIDENCE,
             fitted,
-            with_data,
-            without_data: resamples.err().map(ToString::to_string),
+            with_data_uncertainty: with_data,
+            data_uncertainty_missing: resamples.err().map(ToString::to_string),
         })
     }
 }
 
 /// The waves in which a space's episodes came; of one each where that is not known.
-fn episode_clusters(space: &Space) -> EpisodeClusters {
+fn episode_clusters(space: &ScenarioSpace) -> EpisodeClusters {
     let Some(observed) = &space.spec().observed else {
-        return EpisodeClusters::lone(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));
+        return EpisodeClusters::singletons(space.spec().exposure.as_ref().map_or(0, |exposure| exposure.episodes));
     };
-    let mut sizes = vec![0; observed.waves.len()];
-    for wave in &observed.waves {
+    let mut sizes = vec![0; observed.braking_clusters.len()];
+    for wave in &observed.braking_clusters {
         if let Some(size) = sizes.get_mut(*wave as usize) {
             *size += 1;
         }
     }
     sizes.retain(|size| *size > 0);
-    EpisodeClusters::of(&sizes)
+    EpisodeClusters::from_sizes(&sizes)
 }

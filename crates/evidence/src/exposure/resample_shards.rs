@@ -22,24 +22,24 @@ pub(crate) struct ResampleShard<T> {
 
 impl<T: Clone> ResampleShard<T> {
     pub(crate) fn new(own: Range<u64>) -> Self {
-        Self { own, next: 0, found: Vec::new() }
+        Self { range: own, next: 0, results: Vec::new() }
     }
 
     /// What comes of the next one: found out if it is one of its own, and `none` otherwise.
     pub(crate) fn next<E>(&mut self, none: T, find: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
-        let is_own = self.own.contains(&self.next);
+        let is_own = self.range.contains(&self.next);
         self.next += 1;
         if !is_own {
             return Ok(none);
         }
         let found = find()?;
-        self.found.push(found.clone());
+        self.results.push(found.clone());
         Ok(found)
     }
 
     /// What came of its own, in order.
     pub(crate) fn into_results(self) -> Vec<T> {
-        self.found
+        self.results
     }
 }
 
@@ -54,17 +54,17 @@ pub(crate) struct ResampleCountMismatch;
 
 impl<T> MergedResamples<T> {
     pub(crate) fn new(kept: Vec<T>) -> Self {
-        Self { kept: kept.into_iter() }
+        Self { results: kept.into_iter() }
     }
 
     /// What came of the next one.
     pub(crate) fn next(&mut self) -> Result<T, ResampleCountMismatch> {
-        self.kept.next().ok_or(ResampleCountMismatch)
+        self.results.next().ok_or(ResampleCountMismatch)
     }
 
     /// Whether all were asked for.
     pub(crate) fn finish(self) -> Result<(), ResampleCountMismatch> {
-        if self.kept.len() == 0 { Ok(()) } else { Err(ResampleCountMismatch) }
+        if self.results.len() == 0 { Ok(()) } else { Err(ResampleCountMismatch) }
     }
 }
 

@@ -4,10 +4,10 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
 
-use crate::fit::{edited, refitted, resampled};
-use crate::rare::Estimate;
+use crate::fit::{find_edit, refit, resample};
+use crate::rare::RareEstimate;
 use crumple_world::random::{Purpose, derived_seed, stream};
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 
 /// Tells the streams of what is drawn besides the resamples from theirs.
 const DRAW_STREAM_OFFSET: u64 = 1 << 40;
@@ -23,7 +23,7 @@ pub enum ResamplingError {
     #[error("nothing was resampled")]
     NotRequested,
     /// Fewer than percentiles take.
-    #[error("{asked} resamples are too few for an interval: {LEAST_RESAMPLES} are needed")]
+    #[error("{requested} resamples are too few for an interval: {MIN_RESAMPLES} are needed")]
     TooFew {
         /// How many were to be made.
         requested: u32,
@@ -41,7 +41,7 @@ pub enum ResamplingError {
     },
     /// Too many resamples are such that no space can be fitted.
     #[error(
-        "a space could be fitted to {fitted} of {tried} resamples only, and {LEAST_RESAMPLES} are needed for an interval"
+        "a space could be fitted to {fitted} of {tried} resamples only, and {MIN_RESAMPLES} are needed for an interval"
     )]
     TooFewFits {
         /// To how many one could.
@@ -70,7 +70,7 @@ impl Resamples {
     /// ends. None where there are too few for a first place.
     #[must_use]
     pub fn percentile_interval(&self, confidence: f64) -> Option<[f64; 2]> {
-        let [lows, highs] = &self.spread;
+        let [lows, highs] = &self.sorted_bounds;
         // An end of 1 − (1 − α) is not α to the last bit.
         let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
         let from_end = place.checked_sub(1)?;
@@ -80,34 +80,34 @@ impl Resamples {
     /// How many there are.
     #[must_use]
     pub fn count(&self) -> u32 {
-        self.spread[0].len() as u32
+        self.sorted_bounds[0].len() as u32
     }
 }
 
 /// The spaces fitted to resamples, and how many resamples there were to which none could be.
-fn refit_to_resamples(space: &Space, seed: u64, resamples: u32) -> Result<(Vec<(u64, Space)>, u32), ResamplingError> {
+fn refit_to_resamples(space: &ScenarioSpace, seed: u64, resamples: u32) -> Result<(Vec<(u64, ScenarioSpace)>, u32), ResamplingError> {
     match resamples {
-        0 => return Err(ResamplingError::NotAsked),
-        1..MIN_RESAMPLES => return Err(ResamplingError::TooFew { asked: resamples }),
+        0 => return Err(ResamplingError::NotRequested),
+        1..MIN_RESAMPLES => return Err(ResamplingError::TooFew { requested: resamples }),
         _ => {}
     }
     let observed = space.spec().observed.as_ref().ok_or(ResamplingError::NoData)?;
-    let what = match edited(space, observed) {
+    let what = match find_edit(space, observed) {
         Ok(what) => what.map(|name| format!("`{name}`")),
         Err(why) => Some(format!("the space ({why})")),
     };
     if let Some(what) = what {
         return Err(ResamplingError::Edited { what });
     }
-    let again = |index: u64| Some((index, refitted(space.spec(), &resampled(observed, seed, index)).ok()?));
-    let mut spaces: Vec<(u64, Space)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
+    let again = |index: u64| Some((index, refit(space.spec(), &resample(observed, seed, index)).ok()?));
+    let mut spaces: Vec<(u64, ScenarioSpace)> = (0..u64::from(resamples)).into_par_iter().filter_map(again).collect();
     let mut tried = resamples;
     while spaces.len() < resamples as usize && tried < 2 * resamples {
         spaces.extend(again(u64::from(tried)));
         tried += 1;
     }
     let fitted = spaces.len() as u32;
-    if fitted < MIN_RESAMPLES { Err(ResamplingError::Unfit { fitted, tried }) } else { Ok((spaces, tried - fitted)) }
+    if fitted < MIN_RESAMPLES { Err(ResamplingError::TooFewFits { fitted, tried }) } else { Ok((spaces, tried - fitted)) }
 }
 
 /// Makes new runs in each space fitted to a resample: `failures` says how many of so many runs fail there, with a seed. Or says why the data's
@@ -116,11 +116,11 @@ fn refit_to_resamples(space: &Space, seed: u64, resamples: u32) -> Result<(Vec<(
 /// # Errors
 /// Those of `failures`.
 pub fn count_on_resamples<E>(
-    space: &Space,
+    space: &ScenarioSpace,
     seed: u64,
     resamples: u32,
     runs: u32,
-    failures: &mut dyn FnMut(&Space, u64, u64) -> Result<u64, E>,
+    failures: &mut dyn FnMut(&ScenarioSpace, u64, u64) -> Result<u64, E>,
 ) -> Result<Result<Resamples, ResamplingError>, E> {
     let (spaces, unfit) = match refit_to_resamples(space, seed, resamples) {
         Ok(fitted) => fitted,
@@ -129,11 +129,11 @@ pub fn count_on_resamples<E>(
     let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     let n = f64::from(runs);
     for (index, space) in spaces {
-        let failed = failures(&space, derived_seed(seed, DRAWS + index), u64::from(runs))? as f64;
+        let failed = failures(&space, derived_seed(seed, DRAW_STREAM_OFFSET + index), u64::from(runs))? as f64;
         let share = failed / n;
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
-        let u: f64 = stream(seed, Purpose::Resampling, DRAWS + index).random();
+        let u: f64 = stream(seed, Purpose::Resampling, DRAW_STREAM_OFFSET + index).random();
         // Jeffreys' posterior, with its ends where they are certain (Brown, Cai and DasGupta, Statistical Science 16, 2001).
         let known = Beta::new(failed + 0.5, n - failed + 0.5);
         let drawn = known.map_or(share, |known| known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12)));
@@ -142,8 +142,8 @@ pub fn count_on_resamples<E>(
     }
     let within = within / shares.len() as f64;
     spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
-    let variance = (variance(&shares) - within).max(0.0);
-    Ok(Ok(Resamples { spread, unfit, runs_each: Some(runs), variance }))
+    let variance = (sample_variance(&shares) - within).max(0.0);
+    Ok(Ok(Resamples { sorted_bounds: spread, failed_fits: unfit, runs_each: Some(runs), data_variance: variance }))
 }
 
 /// Estimates anew in each space fitted to a resample: `again` does, with a seed. Or says why the data's uncertainty cannot be known so.
@@ -154,10 +154,10 @@ pub fn count_on_resamples<E>(
 /// # Errors
 /// Those of `again`.
 pub(crate) fn estimate_on_resamples<E>(
-    space: &Space,
+    space: &ScenarioSpace,
     seed: u64,
     resamples: u32,
-    again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, E>,
+    again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, E>,
 ) -> Result<Result<Resamples, ResamplingError>, E> {
     let (spaces, unfit) = match refit_to_resamples(space, seed, resamples) {
         Ok(fitted) => fitted,
@@ -165,7 +165,7 @@ pub(crate) fn estimate_on_resamples<E>(
     };
     let (mut found, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
     for (index, space) in spaces {
-        let estimate = again(&space, derived_seed(seed, DRAWS + index))?;
+        let estimate = again(&space, derived_seed(seed, DRAW_STREAM_OFFSET + index))?;
         let probability = estimate.probability.unwrap_or(0.0);
         within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
         found.push(probability);
@@ -177,8 +177,8 @@ pub(crate) fn estimate_on_resamples<E>(
     }
     let within = within / found.len() as f64;
     spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
-    let variance = (variance(&found) - within).max(0.0);
-    Ok(Ok(Resamples { spread, unfit, runs_each: None, variance }))
+    let variance = (sample_variance(&found) - within).max(0.0);
+    Ok(Ok(Resamples { sorted_bounds: spread, failed_fits: unfit, runs_each: None, data_variance: variance }))
 }
 
 fn sample_variance(values: &[f64]) -> f64 {

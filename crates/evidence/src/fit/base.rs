@@ -1,6 +1,6 @@
 //! The scenario in which the numbers of episodes vary, and what is said of the space.
 
-use super::episodes::Sample;
+use super::episodes::EpisodeSample;
 use super::space::median;
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
@@ -14,7 +14,7 @@ const ONSET_S: f64 = 1.0;
 const TAIL_S: f64 = 10.0;
 
 /// The scenario in which the numbers vary: of three or more vehicles the last one keeps the baseline, as of imported episodes.
-pub(super) fn base_scenario(sample: &Sample, name: &str) -> ScenarioSpec {
+pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec {
     let values = |index: usize| sample.observed.parameters.get(index).map_or(&[][..], |one| one.values.as_slice());
     let (speed_mps, brake_mps2, final_share) = (median(values(0)), median(values(1)), median(values(2)));
     let lead = LeadProfile::BrakeToSpeed(BrakeToSpeed {
@@ -22,7 +22,7 @@ pub(super) fn base_scenario(sample: &Sample, name: &str) -> ScenarioSpec {
         rate_mps2: brake_mps2,
         final_speed_mps: final_share * speed_mps,
     });
-    let last = sample.taken.vehicles - 1;
+    let last = sample.extraction.vehicles - 1;
     let vehicle = |index: usize| {
         let driver = match index {
             0 => Driver::Profile(lead.clone()),
@@ -31,7 +31,7 @@ pub(super) fn base_scenario(sample: &Sample, name: &str) -> ScenarioSpec {
         };
         // Far enough apart at any speed; gaps are parameters.
         let position_m = 200.0 * (last - index) as f64;
-        let length_m = sample.sizes.get(index).map_or(crumple_world::recording::CAR_LENGTH_M, |sizes| sizes.usual_m());
+        let length_m = sample.sizes.get(index).map_or(crumple_world::recording::CAR_LENGTH_M, |sizes| sizes.typical_m());
         let mut vehicle = VehicleSpec::new(VehicleClass::from_length(length_m), position_m, speed_mps, driver);
         vehicle.length_m = Some(length_m);
         if index == 0 {
@@ -54,16 +54,16 @@ pub(super) fn base_scenario(sample: &Sample, name: &str) -> ScenarioSpec {
 
 /// How long the leader brakes at most, in seconds: from the highest speed of the space as gently as it has it, and as far. Whatever is drawn, and
 /// whatever a resample makes of the distributions within their ranges, is over then.
-fn longest_braking_s(sample: &Sample) -> f64 {
-    let end = |index: usize, which: usize| sample.numbers.get(index).map_or(0.0, |number| number.range[which]);
+fn longest_braking_s(sample: &EpisodeSample) -> f64 {
+    let end = |index: usize, which: usize| sample.features.get(index).map_or(0.0, |number| number.range[which]);
     let (fastest_mps, softest_mps2, final_share) = (end(0, 1), end(1, 0), end(2, 0));
     fastest_mps * (1.0 - final_share) / softest_mps2
 }
 
 /// Where the space is from, and what is not in it.
-pub(super) fn describe_space(sample: &Sample) -> String {
-    let Sample { taken, observed, exposure, left_out, sizes, .. } = sample;
-    let waves = observed.waves.iter().max().map_or(0, |last| last + 1);
+pub(super) fn describe_space(sample: &EpisodeSample) -> String {
+    let EpisodeSample { extraction: taken, observed, exposure, exclusions: left_out, sizes, .. } = sample;
+    let waves = observed.braking_clusters.iter().max().map_or(0, |last| last + 1);
     let mut about = format!(
         "Fitted to {} braking episodes in {waves} waves of {} vehicles each, in {:.3} h and {:.1} km of following, from {} m/s² on. The leader \
          brakes at its hardest second's deceleration down to its lowest speed; a scenario lasts until the slowest braking of the space is over, \
@@ -75,7 +75,7 @@ pub(super) fn describe_space(sample: &Sample) -> String {
         taken.min_brake.mps2(),
     );
     for said in
-        left_out.in_words(taken.vehicles).into_iter().chain(sizes.iter().enumerate().map(|(at, one)| one.in_words(at)))
+        left_out.sentences(taken.vehicles).into_iter().chain(sizes.iter().enumerate().map(|(at, one)| one.sentence(at)))
     {
         about += &format!(" {said}.");
     }

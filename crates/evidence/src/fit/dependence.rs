@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crumple_world::scenario::space::{Distribution, Value};
+use crumple_world::scenario::space::{DistributionSpec, ParameterValue};
 
 /// The least eigenvalue of a matrix of which entries were found pair by pair: such entries need not fit together.
 const MIN_EIGENVALUE: f64 = 1e-3;
@@ -13,7 +13,7 @@ const MAX_CORRELATION: f64 = 0.99;
 /// Values of a number, and how it is distributed.
 pub(super) struct CopulaColumn<'a> {
     pub(super) values: &'a [f64],
-    pub(super) distribution: &'a Distribution,
+    pub(super) distribution: &'a DistributionSpec,
 }
 
 /// Correlations of normal scores: ranks over n + 1, as normal numbers. Whatever the marginal distributions are, that is as
@@ -25,7 +25,7 @@ pub(super) struct CopulaColumn<'a> {
 /// all other values (a polyserial correlation: Olsson, Drasgow and Dorans, Psychometrika 47, 1982); ln (1 − ρ²) is added to the logarithm of the
 /// likelihood, so that few values do not make a certainty.
 pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>> {
-    let latent: Vec<LatentColumn> = columns.iter().map(LatentColumn::of).collect();
+    let latent: Vec<LatentColumn> = columns.iter().map(LatentColumn::new).collect();
     let entry = |row: usize, column: usize| {
         if row == column {
             return 1.0;
@@ -41,11 +41,11 @@ pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>
 pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| entries[row][column]);
     let least = least.symmetric_eigenvalues().min();
-    if least >= LEAST_EIGENVALUE {
+    if least >= MIN_EIGENVALUE {
         return entries;
     }
     // Eigenvalues of (1 − s) R + s 1 are those of R, drawn towards 1.
-    let kept = 1.0 - (LEAST_EIGENVALUE - least) / (1.0 - least);
+    let kept = 1.0 - (MIN_EIGENVALUE - least) / (1.0 - least);
     let drawn = |(row, entries): (usize, Vec<f64>)| {
         entries.into_iter().enumerate().map(|(column, entry)| if row == column { 1.0 } else { kept * entry }).collect()
     };
@@ -71,14 +71,14 @@ impl LatentColumn {
     fn new(column: &CopulaColumn<'_>) -> Self {
         let CopulaColumn { values, distribution } = *column;
         let is_point = |value: f64| match distribution {
-            Distribution::Choice(_) => true,
-            Distribution::PointMass(point) => value == point.at,
+            DistributionSpec::Choice(_) => true,
+            DistributionSpec::PointMass(point) => value == point.at,
             _ => false,
         };
         // A copula has the values of a choice in the order in which they are listed.
         let place = |value: f64| match distribution {
-            Distribution::Choice(choice) => {
-                choice.values.iter().position(|known| *known == Value::Number(value)).map_or(f64::NAN, |at| at as f64)
+            DistributionSpec::Choice(choice) => {
+                choice.values.iter().position(|known| *known == ParameterValue::Number(value)).map_or(f64::NAN, |at| at as f64)
             }
             _ => value,
         };
@@ -89,7 +89,7 @@ impl LatentColumn {
         let spread = ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-        let (mut scores, mut known) = (vec![0.0; n], vec![LatentNormal::Exactly(0.0); n]);
+        let (mut scores, mut known) = (vec![0.0; n], vec![LatentNormal::Exact(0.0); n]);
         let mut before = 0;
         for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
             let until = before + equal.len();
@@ -102,12 +102,12 @@ impl LatentColumn {
             };
             let is_point = equal.first().is_some_and(|&index| is_point(column.values[index]));
             let latent =
-                if is_point { LatentNormal::Between(end(before), end(until)) } else { LatentNormal::Exactly(middle / spread) };
+                if is_point { LatentNormal::Interval(end(before), end(until)) } else { LatentNormal::Exact(middle / spread) };
             equal.iter().for_each(|&index| (scores[index], known[index]) = (middle, latent));
             before = until;
         }
-        let has_points = known.iter().any(|latent| matches!(latent, LatentNormal::Between(..)));
-        Self { scores, known, has_points }
+        let has_points = known.iter().any(|latent| matches!(latent, LatentNormal::Interval(..)));
+        Self { scores, latent: known, has_points }
     }
 
     fn correlation(&self, other: &Self) -> f64 {
@@ -116,8 +116,8 @@ impl LatentColumn {
             let (a, b) = (&self.scores, &other.scores);
             return (product(a, b) / (product(a, a) * product(b, b)).sqrt()).clamp(-1.0, 1.0);
         }
-        let pairs = LatentPairs::of(self, other);
-        likeliest(&|rho| pairs.ln_likelihood(rho))
+        let pairs = LatentPairs::new(self, other);
+        maximize_over_correlation(&|rho| pairs.ln_likelihood(rho))
     }
 }
 
@@ -135,16 +135,16 @@ struct LatentPairs {
 impl LatentPairs {
     fn new(a: &LatentColumn, b: &LatentColumn) -> Self {
         let mut pairs = Self::default();
-        for pair in a.known.iter().zip(&b.known) {
+        for pair in a.latent.iter().zip(&b.latent) {
             match pair {
-                (LatentNormal::Exactly(x), LatentNormal::Exactly(y)) => {
-                    let [count, squares, products] = &mut pairs.exact;
+                (LatentNormal::Exact(x), LatentNormal::Exact(y)) => {
+                    let [count, squares, products] = &mut pairs.exact_sums;
                     (*count, *squares, *products) = (*count + 1.0, *squares + x * x + y * y, *products + x * y);
                 }
-                (LatentNormal::Exactly(x), LatentNormal::Between(low, high)) | (LatentNormal::Between(low, high), LatentNormal::Exactly(x)) => {
-                    pairs.half.push((*x, [*low, *high]));
+                (LatentNormal::Exact(x), LatentNormal::Interval(low, high)) | (LatentNormal::Interval(low, high), LatentNormal::Exact(x)) => {
+                    pairs.half_exact.push((*x, [*low, *high]));
                 }
-                (LatentNormal::Between(low_x, high_x), LatentNormal::Between(low_y, high_y)) => {
+                (LatentNormal::Interval(low_x, high_x), LatentNormal::Interval(low_y, high_y)) => {
                     let (x, y) = ([*low_x, *high_x], [*low_y, *high_y]);
                     match pairs.rectangles.iter_mut().find(|known| (known.0, known.1) == (x, y)) {
                         Some(known) => known.2 += 1.0,
@@ -159,7 +159,7 @@ impl LatentPairs {
     /// Of a correlation, up to what does not depend on it, and with ln (1 − ρ²).
     fn ln_likelihood(&self, rho: f64) -> f64 {
         let rest = 1.0 - rho * rho;
-        let [count, squares, products] = self.exact;
+        let [count, squares, products] = self.exact_sums;
         let exact = -0.5 * count * rest.ln() - (squares - 2.0 * rho * products) / (2.0 * rest) + 0.5 * squares;
         let cdf = |x: f64| Normal::standard().cdf(x);
         let given = |x: f64, end: f64| if end.is_finite() { cdf((end - rho * x) / rest.sqrt()) } else { cdf(end) };
@@ -169,7 +169,7 @@ impl LatentPairs {
             let inside = below(*right, *high) - below(*left, *high) - below(*right, *low) + below(*left, *low);
             count * inside.max(1e-300).ln()
         };
-        exact + self.half.iter().map(half).sum::<f64>() + self.rectangles.iter().map(rectangle).sum::<f64>() + rest.ln()
+        exact + self.half_exact.iter().map(half).sum::<f64>() + self.rectangles.iter().map(rectangle).sum::<f64>() + rest.ln()
     }
 }
 

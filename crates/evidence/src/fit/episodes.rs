@@ -5,10 +5,10 @@ use serde::Serialize;
 use super::FitError;
 use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    Dropped, Episode, MAX_PLAUSIBLE_ACCEL_MPS2, Hardest, Leaders, MinBrake, EpisodeProblem, Omission, Recording, episodes,
-    followed, hardest_braking, waves,
+    DroppedItem, BrakingEpisode, MAX_PLAUSIBLE_ACCEL_MPS2, HardestBrakingResult, LeaderSelection, MinBrake, EpisodeProblem, Omission, Recording, episodes,
+    following_exposure, hardest_braking, braking_clusters,
 };
-use crumple_world::scenario::space::{Exposure, Observed, ObservedParameter, SourceExposure};
+use crumple_world::scenario::space::{Exposure, ObservedData, ObservedParameter, SourceExposure};
 
 /// What is taken of recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,7 +18,7 @@ pub struct ExtractionConfig {
     /// The least braking that makes an episode.
     pub min_brake: MinBrake,
     /// Whose braking makes one.
-    pub leaders: Leaders,
+    pub leaders: LeaderSelection,
 }
 
 /// The most vehicles of a scenario that is fitted: two numbers more each.
@@ -48,16 +48,16 @@ pub struct EpisodeFeature {
     pub choices: Option<[f64; 2]>,
 }
 
-impl Number {
+impl EpisodeFeature {
     pub(super) fn new(name: &str, field: &str, unit: &'static str, range: [f64; 2]) -> Self {
-        Self { name: name.to_owned(), field: field.to_owned(), unit, range, point_mass: None, few: None }
+        Self { name: name.to_owned(), field: field.to_owned(), unit, range, point_mass: None, choices: None }
     }
 }
 
 /// The numbers of an episode with so many vehicles, in their order in [`EpisodeSample`], in which sizes of vehicles follow.
 #[must_use]
-pub(crate) fn features(taken: &ExtractionConfig) -> Vec<Number> {
-    let number = Number::new;
+pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
+    let number = EpisodeFeature::new;
     let mut all = vec![
         number("lead_speed_mps", "vehicles[*].speed_mps", "m/s", [1.0, 50.0]),
         number(
@@ -66,7 +66,7 @@ pub(crate) fn features(taken: &ExtractionConfig) -> Vec<Number> {
             "m/s²",
             [taken.min_brake.mps2(), MAX_PLAUSIBLE_ACCEL_MPS2],
         ),
-        Number {
+        EpisodeFeature {
             point_mass: Some(0.0),
             ..number("lead_final_share", "vehicles[0].driver.brake-to-speed.final_share", "1", [0.0, 0.98])
         },
@@ -80,7 +80,7 @@ pub(crate) fn features(taken: &ExtractionConfig) -> Vec<Number> {
 }
 
 /// The numbers of an episode, none if fewer vehicles were recorded. Vehicles further back are left out.
-fn feature_values(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
+fn feature_values(episode: &BrakingEpisode, vehicles: usize) -> Option<Vec<f64>> {
     let line = episode.vehicles.get(..vehicles)?;
     let lead_mps = line.first()?.speed_mps;
     let lowest_mps = Some(lowest_mps(episode)).filter(|lowest_mps| *lowest_mps >= STANDSTILL_MPS).unwrap_or(0.0);
@@ -94,7 +94,7 @@ fn feature_values(episode: &Episode, vehicles: usize) -> Option<Vec<f64>> {
 }
 
 /// The leader's lowest speed while it brakes: between two phases of braking it may speed up again.
-fn lowest_mps(episode: &Episode) -> f64 {
+fn lowest_mps(episode: &BrakingEpisode) -> f64 {
     let braking = episode.onset_s..=episode.braking_end_s;
     let samples = episode.time_s.iter().zip(&episode.speed_mps).filter(|(time_s, _)| braking.contains(*time_s));
     samples.map(|(_, speed_mps)| *speed_mps).fold(episode.end_speed_mps, f64::min)
@@ -127,15 +127,15 @@ impl ExclusionCounts {
     /// Those within the hours that are counted.
     #[must_use]
     pub(crate) fn count_in_exposure(&self) -> usize {
-        self.impossible + self.outside
+        self.impossible_speeds + self.out_of_range
     }
 
-    fn add(&mut self, dropped: &Dropped) {
-        match dropped.what {
-            Omission::Episode { why: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NobodyBehind { .. }, .. } => {
-                self.nobody_behind += 1;
+    fn add(&mut self, dropped: &DroppedItem) {
+        match dropped.omission {
+            Omission::Episode { why: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. }, .. } => {
+                self.no_follower += 1;
             }
-            Omission::Episode { .. } => self.impossible += 1,
+            Omission::Episode { .. } => self.impossible_speeds += 1,
             _ => {}
         }
     }
@@ -143,7 +143,7 @@ impl ExclusionCounts {
     /// What was left out, a sentence each, of episodes of so many vehicles.
     #[must_use]
     pub fn sentences(&self, vehicles: usize) -> Vec<String> {
-        let Self { nobody_behind, shorter, impossible, outside } = self;
+        let Self { no_follower: nobody_behind, too_few_vehicles: shorter, impossible_speeds: impossible, out_of_range: outside } = self;
         let mut words = Vec::new();
         if nobody_behind + shorter > 0 {
             words.push(format!(
@@ -166,9 +166,9 @@ pub struct EpisodeSample {
     /// What was taken.
     pub extraction: ExtractionConfig,
     /// What the numbers are, ...
-    pub features: Vec<Number>,
+    pub features: Vec<EpisodeFeature>,
     /// ... and what they were.
-    pub observed: Observed,
+    pub observed: ObservedData,
     /// In how much driving.
     pub exposure: Exposure,
     /// How large the vehicles were, front to rear.
@@ -187,46 +187,46 @@ impl EpisodeSample {
     /// [`FitError::MinBrake`].
     pub fn from_recordings(recordings: &[Recording], taken: ExtractionConfig) -> Result<Self, FitError> {
         let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
-        if !(2..=MOST_VEHICLES).contains(&vehicles) {
+        if !(2..=MAX_VEHICLES).contains(&vehicles) {
             return Err(FitError::Vehicles { found: vehicles });
         }
         if found >= MAX_PLAUSIBLE_ACCEL_MPS2 {
             return Err(FitError::MinBrake { found, limit: MAX_PLAUSIBLE_ACCEL_MPS2 });
         }
         if recordings.len() > MAX_RECORDINGS {
-            return Err(FitError::TooMany { found: recordings.len(), most: MAX_RECORDINGS, what: "recordings" });
+            return Err(FitError::TooMany { found: recordings.len(), max: MAX_RECORDINGS, what: "recordings" });
         }
         let mut collected = EpisodeCollector::new(taken);
         recordings.iter().try_for_each(|recording| collected.add(recording))?;
-        let EpisodeCollector { mut numbers, waves, mut columns, lengths, sources, left_out, outside, .. } = collected;
+        let EpisodeCollector { mut numbers, clusters: waves, mut columns, lengths, sources, exclusions: left_out, out_of_range: outside, .. } = collected;
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
-        let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::of(lengths)).collect();
+        let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::new(lengths)).collect();
         for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
-            if let Some(number) = sizes.number(index) {
+            if let Some(number) = sizes.feature(index) {
                 numbers.push(number);
-                columns.push(sizes.of_each(lengths));
+                columns.push(sizes.scenario_lengths_m(lengths));
             }
         }
         let (found, needed) = (waves.len(), min_episodes(numbers.len()));
         if found < needed {
             let mut most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
-            if left_out.impossible + left_out.nobody_behind > 0 {
-                let ExclusionCounts { nobody_behind, impossible, .. } = left_out;
+            if left_out.impossible_speeds + left_out.no_follower > 0 {
+                let ExclusionCounts { no_follower: nobody_behind, impossible_speeds: impossible, .. } = left_out;
                 most += &format!(", {nobody_behind} nobody known behind, {impossible} speeds that no vehicle has");
             }
             // A recording in which no braking can be seen looks like one in which nobody brakes.
             let mut judged = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
-            if let Some((recording, why)) = judged.find(|(_, hardest)| !matches!(hardest, Hardest::Braking(_))) {
+            if let Some((recording, why)) = judged.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_))) {
                 most += &format!("; {}: {why}", source_name(recording));
             }
-            let (shorter, outside) = (left_out.shorter, left_out.outside);
-            return Err(FitError::TooFew { found, needed, vehicles, shorter, outside, most });
+            let (shorter, outside) = (left_out.too_few_vehicles, left_out.out_of_range);
+            return Err(FitError::TooFew { found, needed, vehicles, too_few_vehicles: shorter, out_of_range: outside, max: most });
         }
-        if found > MOST_EPISODES {
-            return Err(FitError::TooMany { found, most: MOST_EPISODES, what: "episodes" });
+        if found > MAX_EPISODES {
+            return Err(FitError::TooMany { found, max: MAX_EPISODES, what: "episodes" });
         }
-        let parameter = |(number, values): (&Number, Vec<f64>)| ObservedParameter {
+        let parameter = |(number, values): (&EpisodeFeature, Vec<f64>)| ObservedParameter {
             name: number.name.clone(),
             low: number.range[0],
             high: number.range[1],
@@ -241,15 +241,15 @@ impl EpisodeSample {
             sources,
         };
         let observed =
-            Observed { waves: renumbered(&waves), parameters: numbers.iter().zip(columns).map(parameter).collect() };
-        Ok(Self { taken, numbers, observed, exposure, sizes, left_out, outside_by })
+            ObservedData { braking_clusters: renumber_clusters(&waves), parameters: numbers.iter().zip(columns).map(parameter).collect() };
+        Ok(Self { extraction: taken, features: numbers, observed, exposure, sizes, exclusions: left_out, most_out_of_range: outside_by })
     }
 }
 
 /// What recordings hold, one after the other.
 struct EpisodeCollector {
     extraction: ExtractionConfig,
-    features: Vec<Number>,
+    features: Vec<EpisodeFeature>,
     /// The wave of each episode.
     clusters: Vec<u32>,
     /// The values of each number.
@@ -264,51 +264,51 @@ struct EpisodeCollector {
 
 impl EpisodeCollector {
     fn new(taken: ExtractionConfig) -> Self {
-        let numbers = numbers(&taken);
+        let numbers = features(&taken);
         Self {
-            taken,
-            waves: Vec::new(),
+            extraction: taken,
+            clusters: Vec::new(),
             columns: vec![Vec::new(); numbers.len()],
             lengths: vec![Vec::new(); taken.vehicles],
             sources: Vec::new(),
-            left_out: ExclusionCounts::default(),
-            outside: vec![0; numbers.len()],
-            numbers,
+            exclusions: ExclusionCounts::default(),
+            out_of_range: vec![0; numbers.len()],
+            features: numbers,
         }
     }
 
     fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
-        let ExtractionConfig { vehicles, min_brake, leaders } = self.taken;
+        let ExtractionConfig { vehicles, min_brake, leaders } = self.extraction;
         let found = episodes(recording, min_brake, leaders);
-        if found.episodes.len() > MOST_EPISODES {
-            return Err(FitError::TooMany { found: found.episodes.len(), most: MOST_EPISODES, what: "episodes" });
+        if found.episodes.len() > MAX_EPISODES {
+            return Err(FitError::TooMany { found: found.episodes.len(), max: MAX_EPISODES, what: "episodes" });
         }
-        let (before, left_out) = (self.waves.len(), self.left_out.count_in_exposure());
-        let first_wave = self.waves.iter().max().map_or(0, |last| last + 1);
-        found.dropped.iter().for_each(|dropped| self.left_out.count(dropped));
-        for (episode, wave) in found.episodes.iter().zip(waves(&found.episodes)) {
+        let (before, left_out) = (self.clusters.len(), self.exclusions.count_in_exposure());
+        let first_wave = self.clusters.iter().max().map_or(0, |last| last + 1);
+        found.dropped.iter().for_each(|dropped| self.exclusions.add(dropped));
+        for (episode, wave) in found.episodes.iter().zip(braking_clusters(&found.episodes)) {
             let Some(values) = feature_values(episode, vehicles) else {
-                self.left_out.shorter += 1;
+                self.exclusions.too_few_vehicles += 1;
                 continue;
             };
-            let is_outside = |(number, value): (&Number, &f64)| !(number.range[0]..=number.range[1]).contains(value);
-            if let Some(which) = self.numbers.iter().zip(&values).position(is_outside) {
-                self.left_out.outside += 1;
-                self.outside[which] += 1;
+            let is_outside = |(number, value): (&EpisodeFeature, &f64)| !(number.range[0]..=number.range[1]).contains(value);
+            if let Some(which) = self.features.iter().zip(&values).position(is_outside) {
+                self.exclusions.out_of_range += 1;
+                self.out_of_range[which] += 1;
                 continue;
             }
-            self.waves.push(first_wave + wave);
+            self.clusters.push(first_wave + wave);
             self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
             let lengths = episode.vehicles.iter().map(|placed| placed.length_m);
             self.lengths.iter_mut().zip(lengths).for_each(|(known, length_m)| known.push(length_m));
         }
-        let driven = followed(recording, leaders, vehicles - 1);
+        let driven = following_exposure(recording, leaders, vehicles - 1);
         self.sources.push(SourceExposure {
             name: source_name(recording),
-            episodes: (self.waves.len() - before) as u64,
+            episodes: (self.clusters.len() - before) as u64,
             hours: driven.hours,
             kilometres: driven.kilometres,
-            left_out: (self.left_out.count_in_exposure() - left_out) as u64,
+            left_out: (self.exclusions.count_in_exposure() - left_out) as u64,
         });
         Ok(())
     }

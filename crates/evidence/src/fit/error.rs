@@ -1,6 +1,6 @@
 //! Why no space can be fitted.
 
-use super::MOST_VEHICLES;
+use super::MAX_VEHICLES;
 use super::family::FamilyFitError;
 use crumple_world::scenario::space::InvalidSpace;
 
@@ -9,7 +9,7 @@ use crumple_world::scenario::space::InvalidSpace;
 #[non_exhaustive]
 pub enum FitError {
     /// More or fewer vehicles than can be fitted.
-    #[error("vehicles: must be from 2 to {MOST_VEHICLES}, found {found}")]
+    #[error("vehicles: must be from 2 to {MAX_VEHICLES}, found {found}")]
     Vehicles {
         /// What was asked for.
         found: usize,
@@ -24,8 +24,8 @@ pub enum FitError {
     },
     /// Too few episodes.
     #[error(
-        "{found} episodes of {vehicles} vehicles, and {needed} are needed; {shorter} have fewer vehicles, {outside} have numbers that no \
-         scenario of such a space may have{most}"
+        "{found} episodes of {vehicles} vehicles, and {needed} are needed; {too_few_vehicles} have fewer vehicles, {out_of_range} have numbers that no \
+         scenario of such a space may have{details}"
     )]
     TooFew {
         /// How many there are.
@@ -42,7 +42,7 @@ pub enum FitError {
         details: String,
     },
     /// More than a space may keep.
-    #[error("{found} {what}: at most {most} can be fitted")]
+    #[error("{found} {what}: at details {details} can be fitted")]
     TooMany {
         /// How many there are.
         found: usize,

@@ -3,8 +3,8 @@
 use serde::Serialize;
 use statrs::function::gamma::ln_gamma;
 
-use super::minimum::{hessian, minimum};
-use crumple_world::scenario::space::{Distribution, LogNormal, Normal, ShapeScaleSpec, Uniform};
+use super::minimum::{hessian, minimize};
+use crumple_world::scenario::space::{DistributionSpec, LogNormalSpec, NormalSpec, ShapeScaleSpec, UniformSpec};
 
 /// A family of distributions with two parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -43,7 +43,7 @@ pub struct FamilyFit {
     pub bic: f64,
     /// As a space states it.
     #[serde(skip)]
-    pub distribution: Distribution,
+    pub distribution: DistributionSpec,
 }
 
 /// Why a family cannot be fitted.
@@ -96,26 +96,26 @@ impl DistributionFamily {
     /// # Errors
     /// [`FamilyFitError`] for values that the family cannot have.
     pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, FamilyFitError> {
-        let (smallest, largest) = ends(values);
+        let (smallest, largest) = min_max(values);
         if smallest >= largest {
             return Err(FamilyFitError::Constant(smallest));
         }
         if self == Self::Uniform {
-            return Ok(uniform(values.len(), smallest, largest));
+            return Ok(fit_uniform(values.len(), smallest, largest));
         }
         if self != Self::Normal && smallest <= 0.0 {
             return Err(FamilyFitError::NotPositive(smallest));
         }
-        let sums = SampleStatistics::of(values, range);
+        let sums = SampleStatistics::new(values, range);
         let objective = |at: [f64; 2]| -self.ln_likelihood(&sums, at);
-        let found = minimum(&objective, self.start(&sums));
+        let found = minimize(&objective, self.initial_point(&sums));
         let ln_likelihood = -objective(found);
         if !ln_likelihood.is_finite() {
             return Err(FamilyFitError::NoMaximum);
         }
         Ok(FamilyFit {
             family: self,
-            names: self.names(),
+            parameter_names: self.parameter_names(),
             estimates: self.estimates(&sums, found),
             intervals_95: self.intervals(&sums, &objective, found),
             ln_likelihood,
@@ -154,13 +154,13 @@ impl DistributionFamily {
         }
     }
 
-    fn distribution(self, [first, second]: [f64; 2], [low, high]: [f64; 2]) -> Distribution {
+    fn distribution(self, [first, second]: [f64; 2], [low, high]: [f64; 2]) -> DistributionSpec {
         match self {
-            Self::Uniform => Distribution::Uniform(Uniform { low: first, high: second }),
-            Self::Normal => Distribution::Normal(Normal { mean: first, deviation: second, low, high }),
-            Self::LogNormal => Distribution::LogNormal(LogNormal { ln_mean: first, ln_deviation: second, low, high }),
-            Self::Gamma => Distribution::Gamma(ShapeScaleSpec { shape: first, scale: second, low, high }),
-            Self::Weibull => Distribution::Weibull(ShapeScaleSpec { shape: first, scale: second, low, high }),
+            Self::Uniform => DistributionSpec::Uniform(UniformSpec { low: first, high: second }),
+            Self::Normal => DistributionSpec::Normal(NormalSpec { mean: first, deviation: second, low, high }),
+            Self::LogNormal => DistributionSpec::LogNormal(LogNormalSpec { ln_mean: first, ln_deviation: second, low, high }),
+            Self::Gamma => DistributionSpec::Gamma(ShapeScaleSpec { shape: first, scale: second, low, high }),
+            Self::Weibull => DistributionSpec::Weibull(ShapeScaleSpec { shape: first, scale: second, low, high }),
         }
     }
 
@@ -168,7 +168,7 @@ impl DistributionFamily {
     fn ln_likelihood(self, sums: &SampleStatistics<'_>, at: [f64; 2]) -> f64 {
         let n = sums.values.len() as f64;
         let parameters @ [first, second] = self.estimates(sums, at);
-        let Ok(ready) = self.distribution(parameters, sums.range).ready() else { return f64::NEG_INFINITY };
+        let Ok(ready) = self.distribution(parameters, sums.range).build() else { return f64::NEG_INFINITY };
         let ln_root = 0.5 * (2.0 * std::f64::consts::PI).ln();
         let gauss = |mean: f64, deviation: f64, of_mean: f64, of_deviation: f64| {
             let (off, spread) = ((of_mean - mean) / deviation, of_deviation / deviation);
@@ -188,7 +188,7 @@ impl DistributionFamily {
                 n * (shape.ln() - shape * scale.ln() + (shape - 1.0) * sums.ln_mean) - powers
             }
         };
-        whole - n * ready.mass().ln()
+        whole - n * ready.truncation_mass().ln()
     }
 
     /// By the curvature of the likelihood, which is the inverse of the covariance (Wald, 1943).
@@ -225,7 +225,7 @@ fn fit_uniform(n: usize, low: f64, high: f64) -> FamilyFit {
     let ln_likelihood = -(n as f64) * width.ln();
     FamilyFit {
         family: DistributionFamily::Uniform,
-        names: DistributionFamily::Uniform.names(),
+        parameter_names: DistributionFamily::Uniform.parameter_names(),
         estimates: [low, high],
         intervals_95: Some([[low - beyond, low], [high, high + beyond]]),
         ln_likelihood,

@@ -3,15 +3,15 @@
 use serde::Serialize;
 
 use super::FitError;
-use super::base::{about, base};
-use super::episodes::{Number, Sample};
-use super::family::{Family, FamilyFit};
+use super::base::{describe_space, base_scenario};
+use super::episodes::{EpisodeFeature, EpisodeSample};
+use super::family::{DistributionFamily, FamilyFit};
 use super::goodness::{GoodnessOfFit, Tails};
-use super::marginal::{Dense, Marginal, PointFit};
-use super::space::{marginals, median, space_of};
+use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
+use super::space::{fit_marginals, median, build_space};
 use crumple_world::scenario::space::{
-    Base, Choice, Dependence, Distribution, ObservedParameter, ParameterSpec, SPACE_VERSION, Space, SpaceSpec, Uniform,
-    Value,
+    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec, UniformSpec,
+    ParameterValue,
 };
 
 /// A number as it was fitted.
@@ -29,7 +29,7 @@ pub struct FittedFeature {
     /// The other families, the likeliest first, ...
     pub others: Vec<FamilyFit>,
     /// ... and those that cannot describe the values, with why.
-    pub impossible: Vec<(Family, String)>,
+    pub impossible: Vec<(DistributionFamily, String)>,
     /// How well the chosen one fits.
     pub goodness: GoodnessOfFit,
     /// What it says beyond what was seen.
@@ -39,7 +39,7 @@ pub struct FittedFeature {
     pub sorted: Vec<f64>,
     /// How all of them are distributed.
     #[serde(skip)]
-    pub distribution: Distribution,
+    pub distribution: DistributionSpec,
 }
 
 /// A number that has one of a few values: the size of a vehicle.
@@ -57,7 +57,7 @@ pub struct FittedSize {
 #[derive(Debug, Clone)]
 pub struct FittedSpace {
     /// The space.
-    pub space: Space,
+    pub space: ScenarioSpace,
     /// Its numbers that have a density.
     pub features: Vec<FittedFeature>,
     /// Its numbers that have one of a few values.
@@ -72,67 +72,67 @@ pub struct FittedSpace {
 ///
 /// # Errors
 /// [`FitError`] for numbers that no family describes.
-pub fn fit(sample: &Sample, name: &str, samples: u32, seed: u64) -> Result<FittedSpace, FitError> {
-    let parameter = |(number, observed): (&Number, &ObservedParameter)| ParameterSpec {
+pub fn fit(sample: &EpisodeSample, name: &str, samples: u32, seed: u64) -> Result<FittedSpace, FitError> {
+    let parameter = |(number, observed): (&EpisodeFeature, &ObservedParameter)| ParameterSpec {
         name: number.name.clone(),
         field: number.field.clone(),
         unit: number.unit.to_owned(),
-        nominal: Some(Value::Number(median(&observed.values))),
-        distribution: unfitted(number),
+        nominal: Some(ParameterValue::Number(median(&observed.values))),
+        distribution: placeholder_distribution(number),
     };
     let spec = SpaceSpec {
         version: SPACE_VERSION,
         name: name.to_owned(),
-        about: about(sample),
-        base: Base::Inline(Box::new(base(sample, name))),
-        parameters: sample.numbers.iter().zip(&sample.observed.parameters).map(parameter).collect(),
+        about: describe_space(sample),
+        base: Base::Inline(Box::new(base_scenario(sample, name))),
+        parameters: sample.features.iter().zip(&sample.observed.parameters).map(parameter).collect(),
         dependence: None,
         exposure: Some(sample.exposure.clone()),
         observed: Some(sample.observed.clone()),
     };
-    let marginals = marginals(&spec, &sample.observed)?;
-    let space = space_of(&spec, &sample.observed, &marginals)?;
+    let marginals = fit_marginals(&spec, &sample.observed)?;
+    let space = build_space(&spec, &sample.observed, &marginals)?;
     let (mut numbers, mut sizes) = (Vec::new(), Vec::new());
-    for (place, (number, marginal)) in sample.numbers.iter().zip(marginals).enumerate() {
+    for (place, (number, marginal)) in sample.features.iter().zip(marginals).enumerate() {
         let values = sample.observed.parameters.get(place).map_or(&[][..], |observed| observed.values.as_slice());
         match marginal {
-            Marginal::Few(values) => {
+            FittedMarginal::Discrete(values) => {
                 sizes.push(FittedSize { name: number.name.clone(), unit: number.unit, values });
             }
-            Marginal::Dense(dense) => numbers.push(judged(number, values, *dense, (samples, seed, place as u64))?),
+            FittedMarginal::Continuous(dense) => numbers.push(assess_fit(number, values, *dense, (samples, seed, place as u64))?),
         }
     }
     let (depending, correlation) = match &space.spec().dependence {
         Some(Dependence::GaussianCopula(copula)) => (copula.parameters.clone(), copula.correlation.clone()),
         None => (Vec::new(), Vec::new()),
     };
-    Ok(FittedSpace { space, numbers, sizes, depending, correlation })
+    Ok(FittedSpace { space, features: numbers, sizes, copula_parameters: depending, correlation })
 }
 
 /// A distribution of the kind that a number will have.
-fn placeholder_distribution(number: &Number) -> Distribution {
+fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
     let [low, high] = number.range;
-    match number.few {
-        Some(values) => Distribution::Choice(Choice { values: values.map(Value::Number).to_vec(), weights: None }),
-        None => Distribution::Uniform(Uniform { low, high }),
+    match number.choices {
+        Some(values) => DistributionSpec::Choice(ChoiceSpec { values: values.map(ParameterValue::Number).to_vec(), weights: None }),
+        None => DistributionSpec::Uniform(UniformSpec { low, high }),
     }
 }
 
 /// How well a number with a density is fitted.
-fn assess_fit(number: &Number, values: &[f64], dense: Dense, effort: (u32, u64, u64)) -> Result<FittedFeature, FitError> {
+fn assess_fit(number: &EpisodeFeature, values: &[f64], dense: ContinuousMarginal, effort: (u32, u64, u64)) -> Result<FittedFeature, FitError> {
     let distribution = dense.distribution();
-    let Dense { families, point } = dense;
+    let ContinuousMarginal { families, point } = dense;
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let others: Vec<f64> =
         sorted.iter().copied().filter(|value| point.is_none_or(|point| *value != point.at)).collect();
-    let ready = families.chosen.distribution.ready()?;
+    let ready = families.chosen.distribution.build()?;
     Ok(FittedFeature {
         name: number.name.clone(),
         unit: number.unit,
         point_mass: point,
-        goodness: GoodnessOfFit::of(&others, number.range, &families.chosen, &ready, effort),
-        tails: Tails::of(&others, &ready),
+        goodness: GoodnessOfFit::bootstrap(&others, number.range, &families.chosen, &ready, effort),
+        tails: Tails::new(&others, &ready),
         chosen: families.chosen,
         others: families.others,
         impossible: families.impossible.into_iter().map(|(family, why)| (family, why.to_string())).collect(),

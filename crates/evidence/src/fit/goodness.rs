@@ -50,8 +50,8 @@ impl Tails {
         Self {
             smallest,
             largest,
-            below_smallest: fitted.share_below(smallest),
-            beyond_largest: 1.0 - fitted.share_below(largest),
+            below_smallest: fitted.cdf(smallest),
+            beyond_largest: 1.0 - fitted.cdf(largest),
             in_lower_tenth: sorted.iter().filter(|value| **value < low).count() as u32,
             in_upper_tenth: sorted.iter().filter(|value| **value > high).count() as u32,
         }
@@ -70,7 +70,7 @@ fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
     let n = sorted.len() as f64;
     let (mut largest, mut squares) = (0.0_f64, 1.0 / (12.0 * n));
     for (index, &value) in sorted.iter().enumerate() {
-        let (below, index) = (fitted.share_below(value), index as f64);
+        let (below, index) = (fitted.cdf(value), index as f64);
         largest = largest.max((index + 1.0) / n - below).max(below - index / n);
         squares += ((2.0 * index + 1.0) / (2.0 * n) - below).powi(2);
     }
@@ -86,13 +86,13 @@ impl GoodnessOfFit {
         fitted: &ParameterDistribution,
         (samples, seed, place): (u32, u64, u64),
     ) -> Self {
-        let seen = distances(sorted, fitted);
+        let seen = edf_statistics(sorted, fitted);
         let again = |index: u32| {
             let mut random = stream(seed, Purpose::Resampling, (place << 32) + u64::from(index));
             let mut drawn: Vec<f64> = sorted.iter().map(|_| fitted.quantile(random.random())).collect();
             drawn.sort_by(f64::total_cmp);
             let refitted = fit.family.fit(&drawn, range).ok()?;
-            Some(distances(&drawn, &refitted.distribution.ready().ok()?))
+            Some(edf_statistics(&drawn, &refitted.distribution.build().ok()?))
         };
         let again: Vec<[f64; 2]> = (0..samples).into_par_iter().filter_map(again).collect();
         let share = |which: usize| {

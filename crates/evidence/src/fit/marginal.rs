@@ -1,9 +1,9 @@
 //! How each number is distributed.
 
 use super::FitError;
-use super::family::{Family, FamilyFit, FamilyFitError};
+use super::family::{DistributionFamily, FamilyFit, FamilyFitError};
 use crate::RateInterval;
-use crumple_world::scenario::space::{Choice, Distribution, ObservedParameter, PointMass, Value};
+use crumple_world::scenario::space::{ChoiceSpec, DistributionSpec, ObservedParameter, PointMassSpec, ParameterValue};
 use serde::Serialize;
 
 /// A value with a probability of its own, as it was fitted.
@@ -23,8 +23,8 @@ pub struct PointFit {
 impl PointFit {
     fn new(at: f64, values: &[f64]) -> Self {
         let (seen, of) = (values.iter().filter(|value| **value == at).count() as u64, values.len() as u64);
-        let RateInterval { lower, upper } = RateInterval::exact(seen, of, 0.95);
-        Self { at, seen, probability: seen as f64 / of.max(1) as f64, interval_95: [lower, upper] }
+        let RateInterval { lower, upper } = RateInterval::clopper_pearson(seen, of, 0.95);
+        Self { at, count: seen, probability: seen as f64 / of.max(1) as f64, interval_95: [lower, upper] }
     }
 }
 
@@ -43,12 +43,12 @@ pub(super) struct ContinuousMarginal {
 }
 
 impl ContinuousMarginal {
-    pub(super) fn distribution(&self) -> Distribution {
+    pub(super) fn distribution(&self) -> DistributionSpec {
         let others = self.families.chosen.distribution.clone();
         match self.point {
             None => others,
             Some(PointFit { at, probability, .. }) => {
-                Distribution::PointMass(PointMass { at, probability, others: Box::new(others) })
+                DistributionSpec::PointMass(PointMassSpec { at, probability, others: Box::new(others) })
             }
         }
     }
@@ -56,27 +56,27 @@ impl ContinuousMarginal {
 
 impl FittedMarginal {
     /// Fits a number. What is one of a few values stays so: `stated` is how the space distributes it.
-    pub(super) fn fit(parameter: &ObservedParameter, stated: &Distribution) -> Result<Self, FitError> {
+    pub(super) fn fit(parameter: &ObservedParameter, stated: &DistributionSpec) -> Result<Self, FitError> {
         let values = &parameter.values;
-        if let Distribution::Choice(choice) = stated {
-            let number = |value: &Value| if let Value::Number(number) = value { Some(*number) } else { None };
-            return Ok(Self::Few(choice.values.iter().filter_map(number).map(|at| PointFit::of(at, values)).collect()));
+        if let DistributionSpec::Choice(choice) = stated {
+            let number = |value: &ParameterValue| if let ParameterValue::Number(number) = value { Some(*number) } else { None };
+            return Ok(Self::Discrete(choice.values.iter().filter_map(number).map(|at| PointFit::new(at, values)).collect()));
         }
-        let point = parameter.point_mass.map(|at| PointFit::of(at, values)).filter(|point| point.seen > 0);
+        let point = parameter.point_mass.map(|at| PointFit::new(at, values)).filter(|point| point.count > 0);
         let others = match point {
             Some(point) => &values.iter().copied().filter(|value| *value != point.at).collect::<Vec<f64>>(),
             None => values,
         };
-        let families = FamilyRanking::of(&parameter.name, others, [parameter.low, parameter.high])?;
-        Ok(Self::Dense(Box::new(ContinuousMarginal { families, point })))
+        let families = FamilyRanking::fit(&parameter.name, others, [parameter.low, parameter.high])?;
+        Ok(Self::Continuous(Box::new(ContinuousMarginal { families, point })))
     }
 
-    pub(super) fn distribution(&self) -> Distribution {
+    pub(super) fn distribution(&self) -> DistributionSpec {
         match self {
-            Self::Dense(dense) => dense.distribution(),
-            Self::Few(points) => Distribution::Choice(Choice {
-                values: points.iter().map(|point| Value::Number(point.at)).collect(),
-                weights: Some(points.iter().map(|point| point.seen as f64).collect()),
+            Self::Continuous(dense) => dense.distribution(),
+            Self::Discrete(points) => DistributionSpec::Choice(ChoiceSpec {
+                values: points.iter().map(|point| ParameterValue::Number(point.at)).collect(),
+                weights: Some(points.iter().map(|point| point.count as f64).collect()),
             }),
         }
     }
@@ -89,14 +89,14 @@ pub(super) struct FamilyRanking {
     /// The others, the likeliest first.
     pub(super) others: Vec<FamilyFit>,
     /// Those that do not describe the values.
-    pub(super) impossible: Vec<(Family, FamilyFitError)>,
+    pub(super) impossible: Vec<(DistributionFamily, FamilyFitError)>,
 }
 
 impl FamilyRanking {
     /// Of values that can only lie in a range, by the name of their parameter.
     pub(super) fn fit(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
         let (mut fits, mut impossible) = (Vec::new(), Vec::new());
-        for family in Family::ALL {
+        for family in DistributionFamily::ALL {
             match family.fit(values, range) {
                 Ok(fit) => fits.push(fit),
                 Err(why) => impossible.push((family, why)),

@@ -8,8 +8,8 @@ const TOLERANCE: f64 = 1e-7;
 /// The simplex of Nelder and Mead (A simplex method for function minimization, 1965), begun anew once where it ends. Values that are not
 /// finite are as bad as can be.
 pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2] {
-    let once = descended(of, start, 0.5);
-    descended(of, once, 0.1)
+    let once = nelder_mead(of, start, 0.5);
+    nelder_mead(of, once, 0.1)
 }
 
 fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
@@ -19,11 +19,11 @@ fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64
     };
     let [x, y] = start;
     let mut corners = [judged(start), judged([x + size, y]), judged([x, y + size])];
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         corners.sort_by(|a, b| a.1.total_cmp(&b.1));
         let [best, middle, worst] = corners;
         let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-        if apart(best.0, middle.0).max(apart(best.0, worst.0)) < CLOSE {
+        if apart(best.0, middle.0).max(apart(best.0, worst.0)) < TOLERANCE {
             break;
         }
         let towards = |share: f64| {

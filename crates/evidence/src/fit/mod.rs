@@ -33,12 +33,12 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{ExclusionCounts, MOST_VEHICLES, Number, Sample, Taken};
+pub use episodes::{ExclusionCounts, MAX_VEHICLES, EpisodeFeature, EpisodeSample, ExtractionConfig};
 pub use error::FitError;
-pub use family::{Family, FamilyFit, FamilyFitError};
-pub use fitted_space::{FittedSpace, FittedNumber, FittedSize, fit};
-pub use goodness::{GoodnessOfFit, Tails, shown_p};
+pub use family::{DistributionFamily, FamilyFit, FamilyFitError};
+pub use fitted_space::{FittedSpace, FittedFeature, FittedSize, fit};
+pub use goodness::{GoodnessOfFit, Tails, format_p_value};
 pub use marginal::PointFit;
-pub(crate) use resample::resampled;
+pub(crate) use resample::resample;
 pub use sizes::VehicleSizes;
-pub(crate) use space::{edited, refitted};
+pub(crate) use space::{find_edit, refit};

@@ -3,15 +3,15 @@
 use rand::RngExt;
 
 use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::space::{Observed, ObservedParameter};
+use crumple_world::scenario::space::{ObservedData, ObservedParameter};
 
 /// The `index`-th resample: as many waves as there are, each drawn from all of them (Efron, Bootstrap methods: another look at the
 /// jackknife, Annals of Statistics 7, 1979; of clusters, Davison and Hinkley, 1997, 3.8).
 #[must_use]
-pub(crate) fn resample(observed: &Observed, seed: u64, index: u64) -> Observed {
-    let waves = observed.waves.iter().max().map_or(0, |last| *last as usize + 1);
+pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> ObservedData {
+    let waves = observed.braking_clusters.iter().max().map_or(0, |last| *last as usize + 1);
     let mut members: Vec<Vec<usize>> = vec![Vec::new(); waves];
-    for (episode, wave) in observed.waves.iter().enumerate() {
+    for (episode, wave) in observed.braking_clusters.iter().enumerate() {
         if let Some(members) = members.get_mut(*wave as usize) {
             members.push(episode);
         }
@@ -30,5 +30,5 @@ pub(crate) fn resample(observed: &Observed, seed: u64, index: u64) -> Observed {
             .collect(),
         ..parameter.clone()
     };
-    Observed { waves: numbered.collect(), parameters: observed.parameters.iter().map(values).collect() }
+    ObservedData { braking_clusters: numbered.collect(), parameters: observed.parameters.iter().map(values).collect() }
 }

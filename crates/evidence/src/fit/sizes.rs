@@ -1,6 +1,6 @@
 //! How large the vehicles of episodes were.
 
-use super::episodes::Number;
+use super::episodes::EpisodeFeature;
 use super::space::median;
 use crumple_world::recording::CAR_LENGTH_M;
 use crumple_world::scenario::VehicleClass;
@@ -46,12 +46,12 @@ impl VehicleSizes {
     }
 
     /// The number that a scenario has of it, where there are both light and heavy ones, of vehicle `index` from the front.
-    pub(super) fn feature(&self, index: usize) -> Option<Number> {
+    pub(super) fn feature(&self, index: usize) -> Option<EpisodeFeature> {
         let is_mixed = self.heavy > 0 && self.light + self.unknown > 0;
         let name = if index == 0 { "lead_size_m".to_owned() } else { format!("size_{index}_m") };
-        is_mixed.then(|| Number {
-            few: Some([self.light_m, self.heavy_m]),
-            ..Number::new(&name, &format!("vehicles[{index}].size_m"), "m", [self.light_m, self.heavy_m])
+        is_mixed.then(|| EpisodeFeature {
+            choices: Some([self.light_m, self.heavy_m]),
+            ..EpisodeFeature::new(&name, &format!("vehicles[{index}].size_m"), "m", [self.light_m, self.heavy_m])
         })
     }
 

@@ -5,10 +5,10 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::FitError;
-use super::dependence::{self, Column};
-use super::marginal::Marginal;
+use super::dependence::{self, CopulaColumn};
+use super::marginal::FittedMarginal;
 use crumple_world::scenario::space::{
-    Dependence, Distribution, GaussianCopula, InvalidSpace, Observed, ObservedParameter, Space, SpaceSpec, Value,
+    Dependence, DistributionSpec, GaussianCopula, InvalidSpace, ObservedData, ObservedParameter, ScenarioSpace, SpaceSpec, ParameterValue,
 };
 
 /// How far a distribution may be from the one that is fitted again, relative to what was observed, and a correlation: another machine
@@ -21,45 +21,45 @@ const COMPARED_QUANTILES: u32 = 200;
 ///
 /// # Errors
 /// [`FitError`] for values that no family describes, or that are no space.
-pub(crate) fn refit(spec: &SpaceSpec, observed: &Observed) -> Result<Space, FitError> {
-    space_of(spec, observed, &marginals(spec, observed)?)
+pub(crate) fn refit(spec: &SpaceSpec, observed: &ObservedData) -> Result<ScenarioSpace, FitError> {
+    build_space(spec, observed, &fit_marginals(spec, observed)?)
 }
 
 /// How each observed parameter is distributed.
-pub(super) fn fit_marginals(spec: &SpaceSpec, observed: &Observed) -> Result<Vec<Marginal>, FitError> {
-    let fitted = |parameter: &ObservedParameter| match stated(spec, &parameter.name) {
-        Some(distribution) => Marginal::of(parameter, distribution),
+pub(super) fn fit_marginals(spec: &SpaceSpec, observed: &ObservedData) -> Result<Vec<FittedMarginal>, FitError> {
+    let fitted = |parameter: &ObservedParameter| match stated_distribution(spec, &parameter.name) {
+        Some(distribution) => FittedMarginal::fit(parameter, distribution),
         None => Err(InvalidSpace::new("observed.parameters", format!("there is no `{}`", parameter.name)).into()),
     };
     observed.parameters.par_iter().map(fitted).collect()
 }
 
-fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a Distribution> {
+fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a DistributionSpec> {
     spec.parameters.iter().find(|parameter| parameter.name == name).map(|parameter| &parameter.distribution)
 }
 
 /// A space with the distributions that were fitted to values of its parameters, and with their dependence.
-pub(super) fn build_space(spec: &SpaceSpec, observed: &Observed, marginals: &[Marginal]) -> Result<Space, FitError> {
+pub(super) fn build_space(spec: &SpaceSpec, observed: &ObservedData, marginals: &[FittedMarginal]) -> Result<ScenarioSpace, FitError> {
     let mut spec = spec.clone();
-    let distributions: Vec<Distribution> = marginals.iter().map(Marginal::distribution).collect();
+    let distributions: Vec<DistributionSpec> = marginals.iter().map(FittedMarginal::distribution).collect();
     for (distribution, values) in distributions.iter().zip(&observed.parameters) {
         if let Some(parameter) = spec.parameters.iter_mut().find(|parameter| parameter.name == values.name) {
             parameter.distribution = distribution.clone();
-            parameter.nominal = Some(Value::Number(median(&values.values)));
+            parameter.nominal = Some(ParameterValue::Number(median(&values.values)));
         }
     }
-    let columns: Vec<Column<'_>> = observed
+    let columns: Vec<CopulaColumn<'_>> = observed
         .parameters
         .iter()
         .zip(&distributions)
-        .map(|(parameter, distribution)| Column { values: &parameter.values, distribution })
+        .map(|(parameter, distribution)| CopulaColumn { values: &parameter.values, distribution })
         .collect();
     let fitted = GaussianCopula {
         parameters: observed.parameters.iter().map(|parameter| parameter.name.clone()).collect(),
-        correlation: dependence::correlation(&columns),
+        correlation: dependence::estimate_correlation(&columns),
     };
-    spec.dependence = joined(spec.dependence.take(), fitted).map(Dependence::GaussianCopula);
-    Ok(Space::new(spec, Path::new(""))?)
+    spec.dependence = merge_copulas(spec.dependence.take(), fitted).map(Dependence::GaussianCopula);
+    Ok(ScenarioSpace::new(spec, Path::new(""))?)
 }
 
 /// A copula with the correlations that were fitted, and those that were stated between parameters of which not both were observed.
@@ -93,30 +93,30 @@ fn copula_entry(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
 ///
 /// # Errors
 /// [`FitError`] where nothing can be fitted to the values.
-pub(crate) fn find_edit(space: &Space, observed: &Observed) -> Result<Option<String>, FitError> {
-    let again = refitted(space.spec(), observed)?;
+pub(crate) fn find_edit(space: &ScenarioSpace, observed: &ObservedData) -> Result<Option<String>, FitError> {
+    let again = refit(space.spec(), observed)?;
     for parameter in &observed.parameters {
-        let [stated, fitted] = [space.spec(), again.spec()].map(|spec| stated(spec, &parameter.name));
+        let [stated, fitted] = [space.spec(), again.spec()].map(|spec| stated_distribution(spec, &parameter.name));
         let (Some(stated), Some(fitted)) = (stated, fitted) else { continue };
-        let [stated, fitted] = [stated.ready()?, fitted.ready()?];
+        let [stated, fitted] = [stated.build()?, fitted.build()?];
         let ends = parameter
             .values
             .iter()
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| [low.min(value), high.max(value)]);
-        let close = SAME * (ends[1] - ends[0]).abs();
+        let close = TOLERANCE * (ends[1] - ends[0]).abs();
         let share = |index: u32| f64::from(index) / f64::from(COMPARED_QUANTILES);
         if (0..=COMPARED_QUANTILES).any(|at| (stated.quantile(share(at)) - fitted.quantile(share(at))).abs() > close) {
             return Ok(Some(parameter.name.clone()));
         }
     }
-    let copula = |space: &Space| match &space.spec().dependence {
+    let copula = |space: &ScenarioSpace| match &space.spec().dependence {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
         None => GaussianCopula { parameters: Vec::new(), correlation: Vec::new() },
     };
     let (stated, fitted) = (copula(space), copula(&again));
     let differs = |a: &ObservedParameter, b: &ObservedParameter| {
         let of = |copula: &GaussianCopula| copula_entry(copula, &a.name, &b.name).unwrap_or(0.0);
-        a.name != b.name && (of(&stated) - of(&fitted)).abs() > SAME
+        a.name != b.name && (of(&stated) - of(&fitted)).abs() > TOLERANCE
     };
     let parameters = &observed.parameters;
     let is_other = parameters.iter().any(|a| parameters.iter().any(|b| differs(a, b)));

@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::plan::RareRecord;
-use super::progress::Progress;
+use super::progress::RareProgress;
 use super::{Pilot, RareError, RarePlan, RareReport};
-use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
-use crumple_store::work::{Asked, Work, WorkError};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress as RunProgress};
+use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
 
 const ESTIMATE_FILE: &str = "rare-estimate.json";
 
 /// A folder for one estimate, in use.
 #[derive(Debug)]
 pub struct RareFolder {
-    progress: Progress,
+    progress: RareProgress,
 }
 
 impl RarePlan {
@@ -26,9 +26,9 @@ impl RarePlan {
     /// [`RareError`] if the folder cannot be used, holds something else, or is damaged.
     pub fn open_folder(&self, folder: &Path, resume: bool) -> Result<RareFolder, RareError> {
         if resume && self.controller.kind.identity().is_none() {
-            return Err(RareError::Unknown(self.controller.name.clone()));
+            return Err(RareError::NoIdentity(self.controller.name.clone()));
         }
-        self.record()?.in_folder(folder, resume)
+        self.record()?.open_folder(folder, resume)
     }
 }
 
@@ -45,26 +45,26 @@ impl RareRecord {
             "method": self.method,
             "effort": self.effort,
         });
-        let asked = Asked {
+        let asked = RunFolderOptions {
             kind: "rare-failure estimate",
             configuration: &configuration.to_string(),
-            configuration_file: ESTIMATE,
+            configuration_file: ESTIMATE_FILE,
             resume,
-            outputs: &[ESTIMATE],
+            outputs: &[ESTIMATE_FILE],
         };
-        let work = Work::open(folder, asked)?;
-        Ok(RareFolder { progress: Progress::in_folder(work, self, self.effort.repetitions as u64)? })
+        let work = RunFolder::open(folder, asked)?;
+        Ok(RareFolder { progress: RareProgress::load(work, self, self.effort.repetitions as u64)? })
     }
 }
 
 impl RareReport {
     /// What is kept of it.
     pub(super) fn without_exposure(&self) -> Self {
-        Self { exposed: None, ..self.clone() }
+        Self { exposure: None, ..self.clone() }
     }
 
     fn to_json(&self) -> Result<String, serde_json::Error> {
-        Ok(serde_json::to_string_pretty(&self.kept())? + "\n")
+        Ok(serde_json::to_string_pretty(&self.without_exposure())? + "\n")
     }
 }
 
@@ -74,8 +74,8 @@ impl RareFolder {
     /// # Errors
     /// [`RareError::Work`] if it is damaged.
     pub fn read_report(&self) -> Result<Option<RareReport>, RareError> {
-        let damaged = |error: serde_json::Error| WorkError::damaged(&self.path(), format!("no estimate: {error}"));
-        let bytes = self.progress.work().read(ESTIMATE)?;
+        let damaged = |error: serde_json::Error| RunFolderError::damaged(&self.path(), format!("no estimate: {error}"));
+        let bytes = self.progress.run_folder().read(ESTIMATE_FILE)?;
         let kept: Option<RareReport> =
             bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?;
         Ok(kept.map(RareReport::with_gaps))
@@ -86,13 +86,13 @@ impl RareFolder {
     /// # Errors
     /// [`RareError::Work`] if it cannot be written.
     pub fn write_report(&self, report: &RareReport) -> Result<(), RareError> {
-        self.progress.finish(ESTIMATE, report.text()?)
+        self.progress.finish(ESTIMATE_FILE, report.to_json()?)
     }
 
     /// Whether an estimate is there, and all that is kept of it.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.progress.work().is_complete()
+        self.progress.run_folder().is_complete()
     }
 
     /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
@@ -100,7 +100,7 @@ impl RareFolder {
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
     pub fn run_pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
-        self.progress.pilot(plan, &Counter::new(observer, None))
+        self.progress.run_pilot(plan, &ProgressCounter::new(observer, None))
     }
 
     /// Estimates with the levels of the pilot, without the repetitions that are in the folder already. Keeps each repetition, and in the end
@@ -115,11 +115,11 @@ impl RareFolder {
         resamples: u32,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
-        let (all, counter) = (0..plan.effort.repetitions as u64, Counter::new(observer, None));
-        let repeated = self.progress.repeat(plan, pilot, all, &counter)?;
+        let (all, counter) = (0..plan.effort.repetitions as u64, ProgressCounter::new(observer, None));
+        let repeated = self.progress.run_repetitions(plan, pilot, all, &counter)?;
         let report = plan.record()?.report(pilot.summary([&repeated]));
-        let report = self.per_hour(plan, report, resamples, &counter)?;
-        self.keep(&report)?;
+        let report = self.add_exposure(plan, report, resamples, &counter)?;
+        self.write_report(&report)?;
         Ok(report)
     }
 
@@ -134,7 +134,7 @@ impl RareFolder {
         resamples: u32,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
-        self.per_hour(plan, report, resamples, &Counter::new(observer, None))
+        self.add_exposure(plan, report, resamples, &ProgressCounter::new(observer, None))
     }
 
     fn add_exposure(
@@ -142,12 +142,12 @@ impl RareFolder {
         plan: &RarePlan,
         report: RareReport,
         resamples: u32,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<RareReport, RareError> {
-        let mut again = self.progress.again(resamples);
+        let mut again = self.progress.resample_estimator(resamples);
         let exposed =
-            plan.exposed(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), counter))?;
-        Ok(RareReport { exposed, ..report })
+            plan.rate_per_exposure(&report.estimate, resamples, &mut |space, seed| again.next(plan, (space, seed), counter))?;
+        Ok(RareReport { exposure: exposed, ..report })
     }
 
     /// Repetitions that were made already.
@@ -159,6 +159,6 @@ impl RareFolder {
     /// Where the estimate goes.
     #[must_use]
     pub fn path(&self) -> PathBuf {
-        self.progress.work().path(ESTIMATE)
+        self.progress.run_folder().path(ESTIMATE_FILE)
     }
 }

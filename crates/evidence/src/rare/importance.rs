@@ -11,11 +11,11 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::mixture::{OriginMoments, Mixture, Seen};
-use super::splitting::{ParticlePopulation, Sample, new_noise};
-use super::splitting::{Problem, State};
-use super::{Effort, Estimate, Level, Splitting};
-use crumple_core::observer::Counter;
+use super::mixture::{OriginMoments, Mixture, WeightedPoint};
+use super::splitting::{ParticlePopulation, Particle, new_noise_seed};
+use super::splitting::{LimitState, RandomInputs};
+use super::{SplittingConfig, RareEstimate, Level, SplittingLevels};
+use crumple_core::observer::ProgressCounter;
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Populations that climb to what the mixture is fitted to, beside one another: several find several ways to fail.
@@ -32,7 +32,7 @@ const FITTING_STREAM_OFFSET: u64 = 1 << 40;
 #[serde(deny_unknown_fields)]
 pub struct ImportanceProposal {
     #[serde(rename = "climbed")]
-    pub(super) splitting: Splitting,
+    pub(super) splitting: SplittingLevels,
     mixture: Option<Mixture>,
     /// Runs made to fit it, beside those of the climb's pilot.
     #[serde(rename = "fitting")]
@@ -44,7 +44,7 @@ pub struct ImportanceProposal {
 #[serde(deny_unknown_fields)]
 pub(super) struct MixtureFitting {
     #[serde(rename = "climbed")]
-    splitting: Splitting,
+    splitting: SplittingLevels,
     /// The populations that have climbed, until something is fitted to them.
     #[serde(rename = "arrived")]
     populations: Vec<PopulationTrace>,
@@ -78,46 +78,46 @@ pub struct WeightedRepetition {
 
 impl ImportanceProposal {
     /// Climbs the levels and fits, or goes on with that. `keep` hears of all that is worth keeping.
-    pub(super) fn fit<P: Problem>(
+    pub(super) fn fit<P: LimitState>(
         problem: &P,
         mut begun: MixtureFitting,
         keep: &mut dyn FnMut(&MixtureFitting) -> Result<(), P::Error>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
-        let (effort, seed) = (begun.climbed.effort(), begun.climbed.seed());
-        let stages = begun.climbed.stages().to_vec();
-        if !begun.climbed.reaches_failure() {
-            return Ok(Self { climbed: begun.climbed, mixture: None, fitting: 0 });
+        let (effort, seed) = (begun.splitting.effort(), begun.splitting.seed());
+        let stages = begun.splitting.stages().to_vec();
+        if !begun.splitting.reaches_failure() {
+            return Ok(Self { splitting: begun.splitting, mixture: None, fitting_runs: 0 });
         }
-        while begun.mixture.is_none() && (begun.arrived.len() as u64) < FIT_POPULATIONS {
-            let random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + begun.arrived.len() as u64);
+        while begun.mixture.is_none() && (begun.populations.len() as u64) < FIT_POPULATIONS {
+            let random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + begun.populations.len() as u64);
             let mut climber = ParticlePopulation::new(problem, effort.samples, random, counter);
-            let there = climber.populations(&stages)?;
-            begun.arrived.push(PopulationTrace::of(&there, stages.len()));
+            let there = climber.level_populations(&stages)?;
+            begun.populations.push(PopulationTrace::from_levels(&there, stages.len()));
             begun.runs += climber.evaluations;
             keep(&begun)?;
         }
         if begun.mixture.is_none() {
             let mut random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + FIT_POPULATIONS);
-            begun.mixture = PopulationTrace::fit(&begun.arrived, &mut random);
-            begun.arrived.clear();
+            begun.mixture = PopulationTrace::fit_mixture(&begun.populations, &mut random);
+            begun.populations.clear();
         }
-        for round in begun.rounds..ROUNDS {
+        for round in begun.rounds..REFIT_ROUNDS {
             let Some(known) = &begun.mixture else { break };
             let random = stream(seed, Purpose::RareEvents, FITTING_STREAM_OFFSET + FIT_POPULATIONS + 1 + round);
-            let mut climber = ParticlePopulation::new(problem, DRAWS * effort.samples, random, counter);
-            let failed = weighed(&mut climber, known)?;
+            let mut climber = ParticlePopulation::new(problem, POPULATIONS_PER_ROUND * effort.samples, random, counter);
+            let failed = draw_weighted_failures(&mut climber, known)?;
             begun.runs += climber.evaluations;
-            begun.mixture = known.refitted(&failed).or(begun.mixture);
+            begun.mixture = known.em_step(&failed).or(begun.mixture);
             begun.rounds = round + 1;
             keep(&begun)?;
         }
-        Ok(Self { climbed: begun.climbed, mixture: begun.mixture, fitting: begun.runs })
+        Ok(Self { splitting: begun.splitting, mixture: begun.mixture, fitting_runs: begun.runs })
     }
 
     /// Whether it is of a problem of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
-        self.mixture.iter().all(|mixture| mixture.is_of(dimension))
+        self.mixture.iter().all(|mixture| mixture.has_dimension(dimension))
     }
 
     /// Whether there is something to draw from.
@@ -127,54 +127,54 @@ impl ImportanceProposal {
 
     /// How many runs the repetitions will make.
     pub(super) fn planned_runs(&self) -> u64 {
-        let effort = self.climbed.effort();
+        let effort = self.splitting.effort();
         if self.reaches_failure() { (effort.repetitions * effort.samples) as u64 } else { 0 }
     }
 
     /// Some of the repetitions: each is a function of the seed and its number alone.
-    pub(super) fn run_repetitions<P: Problem>(
+    pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
         repetitions: Range<u64>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Vec<WeightedRepetition>, P::Error> {
         let Some(mixture) = &self.mixture else { return Ok(Vec::new()) };
-        let (effort, seed) = (self.climbed.effort(), self.climbed.seed());
+        let (effort, seed) = (self.splitting.effort(), self.splitting.seed());
         let repeat = |index: u64| {
             let random = stream(seed, Purpose::RareEvents, 1 + index);
             let mut climber = ParticlePopulation::new(problem, effort.samples, random, counter);
-            let failed = weighed(&mut climber, mixture)?;
+            let failed = draw_weighted_failures(&mut climber, mixture)?;
             let (sum, largest) =
                 failed.iter().fold((0.0, 0.0_f64), |(sum, most), one| (sum + one.weight, most.max(one.weight)));
             let largest = if sum > 0.0 { largest / sum } else { 0.0 };
-            Ok(WeightedRepetition { probability: sum / effort.samples as f64, largest, evaluations: climber.evaluations })
+            Ok(WeightedRepetition { probability: sum / effort.samples as f64, largest_weight_share: largest, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
 
     /// Whether these repetitions could have come of it.
     pub(super) fn is_consistent_with(&self, repetitions: &[WeightedRepetition]) -> bool {
-        let effort = self.climbed.effort();
+        let effort = self.splitting.effort();
         let is_mean = |one: &WeightedRepetition| one.probability.is_finite() && one.probability >= 0.0;
         repetitions
             .iter()
-            .all(|one| is_mean(one) && (0.0..=1.0).contains(&one.largest) && one.evaluations == effort.samples as u64)
+            .all(|one| is_mean(one) && (0.0..=1.0).contains(&one.largest_weight_share) && one.evaluations == effort.samples as u64)
     }
 
     /// What all repetitions come to, in their order.
-    pub(super) fn summary(&self, repeated: &[WeightedRepetition]) -> Estimate {
-        let mut begun = self.climbed.begun();
-        begun.evaluations = begun.evaluations.saturating_add(self.fitting);
+    pub(super) fn summary(&self, repeated: &[WeightedRepetition]) -> RareEstimate {
+        let mut begun = self.splitting.pilot_estimate();
+        begun.evaluations = begun.evaluations.saturating_add(self.fitting_runs);
         if !self.reaches_failure() {
             return begun;
         }
         let shares: Vec<f64> = repeated.iter().map(|one| one.probability).collect();
         let evaluations = repeated.iter().map(|one| one.evaluations).fold(begun.evaluations, u64::saturating_add);
         let sum: f64 = shares.iter().sum();
-        let largest = repeated.iter().map(|one| one.largest * one.probability).fold(0.0, f64::max);
+        let largest = repeated.iter().map(|one| one.largest_weight_share * one.probability).fold(0.0, f64::max);
         let largest_weight = (sum > 0.0).then_some(largest / sum);
         // Weights first: an estimate without any of one level would be taken for a count.
-        let mut estimate = Estimate { evaluations, largest_weight, ..begun }.with_repetitions(shares);
+        let mut estimate = RareEstimate { evaluations, largest_weight, ..begun }.with_repetitions(shares);
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
@@ -192,25 +192,25 @@ impl ImportanceProposal {
 
 impl MixtureFitting {
     /// Nothing yet, but levels.
-    pub(super) fn new(climbed: Splitting) -> Self {
-        Self { climbed, arrived: Vec::new(), mixture: None, rounds: 0, runs: 0 }
+    pub(super) fn new(climbed: SplittingLevels) -> Self {
+        Self { splitting: climbed, populations: Vec::new(), mixture: None, rounds: 0, runs: 0 }
     }
 
     /// Whether that effort and that seed could have come to it, in a problem of so many numbers.
-    pub(super) fn is_consistent_with(&self, effort: Effort, seed: u64, dimension: usize) -> bool {
+    pub(super) fn is_consistent_with(&self, effort: SplittingConfig, seed: u64, dimension: usize) -> bool {
         let is_place = |place: &Vec<f64>| place.len() == dimension;
-        self.climbed.is_of(effort, seed)
-            && self.arrived.len() as u64 <= FIT_POPULATIONS
-            && self.rounds <= ROUNDS
-            && self.mixture.iter().all(|mixture| mixture.is_of(dimension))
-            && self.arrived.iter().all(|arrived| arrived.failures.iter().all(is_place))
+        self.splitting.is_placed_by(effort, seed)
+            && self.populations.len() as u64 <= FIT_POPULATIONS
+            && self.rounds <= REFIT_ROUNDS
+            && self.mixture.iter().all(|mixture| mixture.has_dimension(dimension))
+            && self.populations.iter().all(|arrived| arrived.failures.iter().all(is_place))
     }
 }
 
 impl PopulationTrace {
     /// Of who is below each of so many `levels`, the last of which are failures; a population that died out reached fewer.
-    fn from_levels(there: &[Vec<Sample>], levels: usize) -> Self {
-        let places = |level: &Vec<Sample>| OriginMoments::of(level.iter().map(|(state, _)| state.normal.as_slice()));
+    fn from_levels(there: &[Vec<Particle>], levels: usize) -> Self {
+        let places = |level: &Vec<Particle>| OriginMoments::from_points(level.iter().map(|(state, _)| state.normal.as_slice()));
         let failures = there.get(levels.saturating_sub(1)).into_iter().flatten();
         Self {
             levels: there.iter().map(places).collect(),
@@ -223,18 +223,18 @@ impl PopulationTrace {
         let mut levels: Vec<OriginMoments> = Vec::new();
         for population in arrived {
             levels.resize(levels.len().max(population.levels.len()), OriginMoments::default());
-            levels.iter_mut().zip(&population.levels).for_each(|(level, more)| level.take(more));
+            levels.iter_mut().zip(&population.levels).for_each(|(level, more)| level.merge(more));
         }
         let failures = arrived.iter().flat_map(|population| &population.failures);
-        let failures: Vec<Seen> = failures.map(|at| Seen { at: at.clone(), weight: 1.0 }).collect();
+        let failures: Vec<WeightedPoint> = failures.map(|at| WeightedPoint { point: at.clone(), weight: 1.0 }).collect();
         Mixture::fit(&levels, &failures, random)
     }
 }
 
 /// A population of draws, of which those that fail are returned, with their weights.
-fn draw_weighted_failures<P: Problem>(climber: &mut ParticlePopulation<'_, P>, mixture: &Mixture) -> Result<Vec<Seen>, P::Error> {
+fn draw_weighted_failures<P: LimitState>(climber: &mut ParticlePopulation<'_, P>, mixture: &Mixture) -> Result<Vec<WeightedPoint>, P::Error> {
     let drawn = climber
-        .drawn(|dimension, random| State { normal: mixture.draw(dimension, random), noise: new_noise(random) })?;
+        .sample_with(|dimension, random| RandomInputs { normal: mixture.draw(dimension, random), noise_seed: new_noise_seed(random) })?;
     let failed = drawn.into_iter().filter(|(_, margin)| *margin < 0.0);
-    Ok(failed.map(|(state, _)| Seen { weight: mixture.weight(&state.normal), at: state.normal }).collect())
+    Ok(failed.map(|(state, _)| WeightedPoint { weight: mixture.importance_weight(&state.normal), point: state.normal }).collect())
 }

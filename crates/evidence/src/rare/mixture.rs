@@ -65,30 +65,30 @@ impl Mixture {
     /// Fitted to failures, which is where their density is high, and as wide as the levels on the way to them; none without any, or of
     /// different dimensions. What they leave open is as in the standard law.
     pub(super) fn fit(levels: &[OriginMoments], failures: &[WeightedPoint], random: &mut Stream) -> Option<Self> {
-        let dimension = failures.first()?.at.len();
-        if failures.iter().any(|seen| seen.at.len() != dimension) {
+        let dimension = failures.first()?.point.len();
+        if failures.iter().any(|seen| seen.point.len() != dimension) {
             return None;
         }
-        let mut centres: Vec<&[f64]> = vec![&pick_weighted(failures, |seen| seen.weight, random)?.at];
-        while centres.len() < PARTS {
+        let mut centres: Vec<&[f64]> = vec![&pick_weighted(failures, |seen| seen.weight, random)?.point];
+        while centres.len() < MAX_COMPONENTS {
             // The further away from what is covered, the likelier to be another way to fail.
             let far = |seen: &WeightedPoint| {
                 let nearest =
-                    centres.iter().map(|centre| square_distance(centre, &seen.at)).fold(f64::INFINITY, f64::min);
+                    centres.iter().map(|centre| squared_distance(centre, &seen.point)).fold(f64::INFINITY, f64::min);
                 seen.weight * nearest
             };
             let Some(next) = pick_weighted(failures, far, random) else { break };
-            centres.push(&next.at);
+            centres.push(&next.point);
         }
         let share = 1.0 / centres.len() as f64;
         let standard = DMatrix::identity(dimension, dimension);
-        let begin = |centre: &&[f64]| GaussianComponent::of(share, centre.to_vec(), standard.clone());
-        let mut all_round: Vec<GaussianComponent> = levels.iter().filter_map(|level| level.part(dimension)).collect();
+        let begin = |centre: &&[f64]| GaussianComponent::new(share, centre.to_vec(), standard.clone());
+        let mut all_round: Vec<GaussianComponent> = levels.iter().filter_map(|level| level.component(dimension)).collect();
         let equal = 1.0 / all_round.len() as f64;
         all_round.iter_mut().for_each(|part| part.share = equal);
-        let mut mixture = Self { all_round, parts: centres.iter().filter_map(begin).collect() };
-        for _ in 0..STEPS {
-            mixture = mixture.refitted(failures)?;
+        let mut mixture = Self { origin_centered: all_round, components: centres.iter().filter_map(begin).collect() };
+        for _ in 0..EM_STEPS {
+            mixture = mixture.em_step(failures)?;
         }
         Some(mixture)
     }
@@ -96,31 +96,31 @@ impl Mixture {
     /// Whether it is a law of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         let factors = dimension * (dimension + 1) / 2;
-        let mut parts = self.all_round.iter().chain(&self.parts);
+        let mut parts = self.origin_centered.iter().chain(&self.components);
         parts.all(|part| part.mean.len() == dimension && part.factor.len() == factors)
     }
 
     /// A step of expectation and maximisation.
     pub(super) fn em_step(&self, failures: &[WeightedPoint]) -> Option<Self> {
         let all: f64 = failures.iter().map(|seen| seen.weight).sum();
-        let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.charges(&seen.at)).collect();
+        let charges: Vec<Vec<f64>> = failures.iter().map(|seen| self.responsibilities(&seen.point)).collect();
         let part = |index: usize| {
             let own: Vec<(f64, &WeightedPoint)> = failures
                 .iter()
                 .zip(&charges)
                 .filter_map(|(seen, charges)| Some((seen.weight * charges.get(index)?, seen)))
                 .collect();
-            GaussianComponent::fitted(&own, all)
+            GaussianComponent::fit(&own, all)
         };
-        let mut parts: Vec<GaussianComponent> = (0..self.parts.len()).filter_map(part).collect();
+        let mut parts: Vec<GaussianComponent> = (0..self.components.len()).filter_map(part).collect();
         let kept: f64 = parts.iter().map(|part| part.share).sum();
         parts.iter_mut().for_each(|part| part.share /= kept);
-        (!parts.is_empty() && kept > 0.0).then_some(Self { all_round: self.all_round.clone(), parts })
+        (!parts.is_empty() && kept > 0.0).then_some(Self { origin_centered: self.origin_centered.clone(), components: parts })
     }
 
     /// How far each part is responsible for a place.
     fn responsibilities(&self, at: &[f64]) -> Vec<f64> {
-        let ln: Vec<f64> = self.parts.iter().map(|part| log(part.share) + part.ln_density(at)).collect();
+        let ln: Vec<f64> = self.components.iter().map(|part| log(part.share) + part.ln_density(at)).collect();
         let most = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let relative: Vec<f64> = ln.iter().map(|one| exp(one - most)).collect();
         let sum: f64 = relative.iter().sum();
@@ -135,25 +135,25 @@ impl Mixture {
             return normal(random);
         }
         let drawn = normal(random);
-        let from = self.laws().find(|(share, _)| {
+        let from = self.weighted_components().find(|(share, _)| {
             lot -= share;
             lot < 0.0
         });
         let from = from.map(|(_, part)| part);
-        from.or(self.parts.last()).map_or(drawn.clone(), |part| part.placed(&drawn))
+        from.or(self.components.last()).map_or(drawn.clone(), |part| part.transform(&drawn))
     }
 
     /// How much likelier a place is by the standard law than as a draw of this: at most 1/[`DEFENSIVE_SHARE`].
     pub(super) fn importance_weight(&self, at: &[f64]) -> f64 {
         let standard = -0.5 * at.iter().map(|x| x * x).sum::<f64>();
-        let ratios = self.laws().map(|(share, part)| share * exp(part.ln_density(at) - standard));
+        let ratios = self.weighted_components().map(|(share, part)| share * exp(part.ln_density(at) - standard));
         1.0 / (DEFENSIVE_SHARE + ratios.sum::<f64>())
     }
 
     /// All laws but the standard one, each with its share of all draws.
     fn weighted_components(&self) -> impl Iterator<Item = (f64, &GaussianComponent)> {
-        let around = self.all_round.iter().map(|part| (ORIGIN_CENTERED_SHARE * part.share, part));
-        around.chain(self.parts.iter().map(|part| ((1.0 - DEFENSIVE_SHARE - ORIGIN_CENTERED_SHARE) * part.share, part)))
+        let around = self.origin_centered.iter().map(|part| (ORIGIN_CENTERED_SHARE * part.share, part));
+        around.chain(self.components.iter().map(|part| ((1.0 - DEFENSIVE_SHARE - ORIGIN_CENTERED_SHARE) * part.share, part)))
     }
 }
 
@@ -172,10 +172,10 @@ impl GaussianComponent {
         if share.is_nan() || share < MIN_COMPONENT_SHARE {
             return None;
         }
-        let mut mean = DVector::zeros(own.first()?.1.at.len());
-        own.iter().for_each(|(w, seen)| mean.axpy(w / sum, &DVector::from_column_slice(&seen.at), 1.0));
-        let (seen, covariance) = moment(own, &mean)?;
-        Self::of(share, mean.as_slice().to_vec(), with_prior(covariance, seen, COVARIANCE_INFLATION))
+        let mut mean = DVector::zeros(own.first()?.1.point.len());
+        own.iter().for_each(|(w, seen)| mean.axpy(w / sum, &DVector::from_column_slice(&seen.point), 1.0));
+        let (seen, covariance) = weighted_second_moment(own, &mean)?;
+        Self::new(share, mean.as_slice().to_vec(), with_prior(covariance, seen, COVARIANCE_INFLATION))
     }
 
     /// Logarithm of the density, but for the constant that all normal laws of a dimension share.
@@ -212,7 +212,7 @@ impl OriginMoments {
         for place in places {
             let of_row = |(row, x): (usize, &f64)| -> Vec<f64> { place.iter().take(row + 1).map(|y| x * y).collect() };
             let products = place.iter().enumerate().flat_map(of_row).collect();
-            around.take(&Self { places: 1, products });
+            around.merge(&Self { count: 1, products });
         }
         around
     }
@@ -222,22 +222,22 @@ impl OriginMoments {
         if self.products.len() < other.products.len() {
             self.products.resize(other.products.len(), 0.0);
         }
-        self.places = self.places.saturating_add(other.places);
+        self.count = self.count.saturating_add(other.count);
         self.products.iter_mut().zip(&other.products).for_each(|(sum, product)| *sum += product);
     }
 
     /// A law as wide in every direction as they are far from the origin; none without any.
     fn component(&self, dimension: usize) -> Option<GaussianComponent> {
-        if self.places == 0 || self.products.len() != dimension * (dimension + 1) / 2 {
+        if self.count == 0 || self.products.len() != dimension * (dimension + 1) / 2 {
             return None;
         }
-        let seen = self.places as f64;
+        let seen = self.count as f64;
         let at = |row: usize, column: usize| {
             let (row, column) = (row.max(column), row.min(column));
             self.products.get(row * (row + 1) / 2 + column).map_or(0.0, |sum| sum / seen)
         };
         let moment = DMatrix::from_fn(dimension, dimension, at);
-        GaussianComponent::of(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
+        GaussianComponent::new(1.0, vec![0.0; dimension], with_prior(moment, seen, 1.0))
     }
 }
 
@@ -249,7 +249,7 @@ fn weighted_second_moment(own: &[(f64, &WeightedPoint)], centre: &DVector<f64>) 
     }
     let mut moment = DMatrix::zeros(centre.len(), centre.len());
     for (w, seen) in own {
-        let off = DVector::from_column_slice(&seen.at) - centre;
+        let off = DVector::from_column_slice(&seen.point) - centre;
         moment.ger(w / sum, &off, &off, 1.0);
     }
     Some((sum * sum / squares, moment))

@@ -49,10 +49,10 @@ use serde::{Deserialize, Serialize};
 
 pub use plan::{RareError, RarePlan, RareReport};
 pub use folder::RareFolder;
-pub use importance::Importance;
+pub use importance::ImportanceProposal;
 pub use pilot::{Pilot, Repetitions};
 pub use shard::{MergedEstimate, RareShard, ESTIMATE_SHARD_KIND};
-pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Splitting};
+pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
 
 /// How much work goes into an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::importance::{MixtureFitting, Importance, WeightedRepetition};
-use super::splitting::{Problem, Repetition};
-use super::{Effort, Estimate, RareMethod, Splitting};
-use crumple_core::observer::Counter;
+use super::importance::{MixtureFitting, ImportanceProposal, WeightedRepetition};
+use super::splitting::{LimitState, Repetition};
+use super::{SplittingConfig, RareEstimate, RareMethod, SplittingLevels};
+use crumple_core::observer::ProgressCounter;
 
 /// Runs that are made at least before what came of them is kept, where it takes no more than that to make a few repetitions: writing that
 /// down costs milliseconds.
@@ -18,9 +18,9 @@ const MIN_RUNS_PER_WRITE: u64 = 500;
 #[serde(rename_all = "kebab-case")]
 pub enum Pilot {
     /// Levels to climb.
-    Splitting(Splitting),
+    Splitting(SplittingLevels),
     /// A law to draw from.
-    Importance(Importance),
+    Importance(ImportanceProposal),
 }
 
 /// What came of some repetitions.
@@ -38,36 +38,36 @@ impl Pilot {
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn run<P: Problem>(
+    pub(super) fn run<P: LimitState>(
         problem: &P,
         method: RareMethod,
-        effort: Effort,
+        effort: SplittingConfig,
         seed: u64,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
-        Self::go_on(problem, (method, effort, seed), None, &mut |_| Ok(()), counter)
+        Self::resume(problem, (method, effort, seed), None, &mut |_| Ok(()), counter)
     }
 
     /// Runs the pilot, or what is left of it where something is being fitted. `keep` hears of all that is worth keeping on the way.
-    pub(super) fn resume<P: Problem>(
+    pub(super) fn resume<P: LimitState>(
         problem: &P,
-        (method, effort, seed): (RareMethod, Effort, u64),
+        (method, effort, seed): (RareMethod, SplittingConfig, u64),
         begun: Option<MixtureFitting>,
         keep: &mut dyn FnMut(&MixtureFitting) -> Result<(), P::Error>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
         let begun = match (method, begun) {
             (RareMethod::Splitting, _) => {
-                return Ok(Self::Splitting(Splitting::pilot(problem, effort, seed, counter)?));
+                return Ok(Self::Splitting(SplittingLevels::run_pilots(problem, effort, seed, counter)?));
             }
             (RareMethod::Importance, Some(begun)) => begun,
             (RareMethod::Importance, None) => {
-                let begun = MixtureFitting::of(Splitting::pilot(problem, effort, seed, counter)?);
+                let begun = MixtureFitting::new(SplittingLevels::run_pilots(problem, effort, seed, counter)?);
                 keep(&begun)?;
                 begun
             }
         };
-        Ok(Self::Importance(Importance::pilot(problem, begun, keep, counter)?))
+        Ok(Self::Importance(ImportanceProposal::fit(problem, begun, keep, counter)?))
     }
 
     /// Whether it reached a failure.
@@ -92,30 +92,30 @@ impl Pilot {
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn estimate<P: Problem>(&self, problem: &P, counter: &Counter<'_>) -> Result<Estimate, P::Error> {
-        Ok(self.summary([&self.repeat(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
+    pub(super) fn estimate<P: LimitState>(&self, problem: &P, counter: &ProgressCounter<'_>) -> Result<RareEstimate, P::Error> {
+        Ok(self.summary([&self.run_repetitions(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
     }
 
     /// Runs some of the repetitions: each is a function of the seed and its number alone. None where no failure was reached.
     ///
     /// # Errors
     /// Those of the problem.
-    pub(super) fn run_repetitions<P: Problem>(
+    pub(super) fn run_repetitions<P: LimitState>(
         &self,
         problem: &P,
         range: Range<u64>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Repetitions, P::Error> {
         let range = range.start..range.end.min(self.levels().effort().repetitions as u64);
         Ok(match self {
-            Self::Splitting(levels) => Repetitions::Splitting(levels.repeat(problem, range, counter)?),
-            Self::Importance(proposal) => Repetitions::Importance(proposal.repeat(problem, range, counter)?),
+            Self::Splitting(levels) => Repetitions::Splitting(levels.run_repetitions(problem, range, counter)?),
+            Self::Importance(proposal) => Repetitions::Importance(proposal.run_repetitions(problem, range, counter)?),
         })
     }
 
     /// What all repetitions come to, in their order.
     #[must_use]
-    pub fn summary<'a>(&self, repeated: impl IntoIterator<Item = &'a Repetitions>) -> Estimate {
+    pub fn summary<'a>(&self, repeated: impl IntoIterator<Item = &'a Repetitions>) -> RareEstimate {
         let repeated = repeated.into_iter();
         match self {
             Self::Splitting(levels) => {
@@ -136,19 +136,19 @@ impl Pilot {
     }
 
     /// Whether it was run by that method, with that effort and by that seed.
-    pub(super) fn is_run_by(&self, method: RareMethod, effort: Effort, seed: u64) -> bool {
+    pub(super) fn is_run_by(&self, method: RareMethod, effort: SplittingConfig, seed: u64) -> bool {
         let own = match self {
             Self::Splitting(_) => RareMethod::Splitting,
             Self::Importance(_) => RareMethod::Importance,
         };
-        own == method && self.levels().is_of(effort, seed)
+        own == method && self.levels().is_placed_by(effort, seed)
     }
 
     /// Whether it is of a problem of so many numbers.
     pub(super) fn has_dimension(&self, dimension: usize) -> bool {
         match self {
             Self::Splitting(_) => true,
-            Self::Importance(proposal) => proposal.is_in(dimension),
+            Self::Importance(proposal) => proposal.has_dimension(dimension),
         }
     }
 
@@ -160,10 +160,10 @@ impl Pilot {
         MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
     }
 
-    fn levels(&self) -> &Splitting {
+    fn levels(&self) -> &SplittingLevels {
         match self {
             Self::Splitting(levels) => levels,
-            Self::Importance(proposal) => &proposal.climbed,
+            Self::Importance(proposal) => &proposal.splitting,
         }
     }
 

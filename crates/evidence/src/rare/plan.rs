@@ -5,17 +5,17 @@ use std::ops::Range;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::splitting::{Problem, State};
-use super::{Effort, Estimate, Pilot, RareMethod};
-use crate::exposure::{ExposedRate, Part, FailureProbability, estimate_again};
+use super::splitting::{LimitState, RandomInputs};
+use super::{SplittingConfig, RareEstimate, Pilot, RareMethod};
+use crate::exposure::{RatePerExposure, GaussianComponent, FailureProbability, estimate_on_resamples};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{Counter, Stopped};
+use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_store::shard::{MergeError, TooManyShards};
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::space::{Space, file};
+use crumple_world::scenario::space::{ScenarioSpace, file};
 use crumple_world::sim::{NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch};
 
 /// How often a controller fails in a space: what `verify rate` counts, for failures too rare to count.
@@ -25,7 +25,7 @@ pub struct RarePlan {
     /// What is put under test.
     pub controller: NamedController,
     /// What runs are drawn from.
-    pub space: Space,
+    pub space: ScenarioSpace,
     /// What the vehicles under test look through.
     pub estimator: EstimatorKind,
     /// Seed of everything.
@@ -35,11 +35,11 @@ pub struct RarePlan {
     /// How failures are climbed to.
     pub method: RareMethod,
     /// How much work goes into it.
-    pub effort: Effort,
+    pub effort: SplittingConfig,
 }
 
 /// Effort of an estimate in a space fitted to a resample: what these spread is what is looked for.
-const RESAMPLE_EFFORT: Effort = Effort { samples: 100, repetitions: 5 };
+const RESAMPLE_EFFORT: SplittingConfig = SplittingConfig { samples: 100, repetitions: 5 };
 
 /// Why a run cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -65,7 +65,7 @@ pub enum RareError {
     Estimate(#[from] serde_json::Error),
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// Shards do not go together, or with their space.
     #[error(transparent)]
     Merge(#[from] MergeError),
@@ -111,14 +111,14 @@ pub struct RareReport {
     pub method: RareMethod,
     /// How much work went into it.
     #[serde(flatten)]
-    pub effort: Effort,
+    pub effort: SplittingConfig,
     /// What came of it.
     #[serde(flatten)]
-    pub estimate: Estimate,
+    pub estimate: RareEstimate,
     /// What that is per hour and per 1000 km, where the space says in how much driving it was seen.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
-    pub exposure: Option<ExposedRate>,
+    pub exposure: Option<RatePerExposure>,
 }
 
 /// All that decides an estimate and that its report says.
@@ -136,20 +136,20 @@ pub(super) struct RareRecord {
     pub(super) failure: String,
     pub(super) seed: u64,
     pub(super) method: RareMethod,
-    pub(super) effort: Effort,
+    pub(super) effort: SplittingConfig,
 }
 
-impl Problem for RarePlan {
+impl LimitState for RarePlan {
     type Error = RareError;
 
     fn dimension(&self) -> usize {
         self.space.dimension()
     }
 
-    fn margins(&self, states: &[State]) -> Result<Vec<f64>, RareError> {
-        let scenario = |state: &State| {
-            let uniform: Vec<f64> = state.normal.iter().map(|&x| share_below(x)).collect();
-            self.space.scenario_at_with_seed(&self.space.quantile(&uniform), state.noise)
+    fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, RareError> {
+        let scenario = |state: &RandomInputs| {
+            let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
+            self.space.scenario_at_with_seed(&self.space.quantile(&uniform), state.noise_seed)
         };
         let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
         let specification = &self.specification;
@@ -158,7 +158,7 @@ impl Problem for RarePlan {
             .with_after_contact(specification.after_contact());
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-        let margins = simulate_batch(&runs, specification.keep(), |index, result| {
+        let margins = simulate_batch(&runs, specification.recording_level(), |index, result| {
             runs.get(index).map(|run| specification.judge(run, &result).map(|verdict| verdict.robustness))
         });
         let margins = margins.into_iter().flatten().collect::<Result<_, _>>()?;
@@ -171,15 +171,15 @@ impl RarePlan {
     /// What an estimate comes to per hour, where the space says in how much driving its episodes were seen. `again` estimates in another space.
     pub(super) fn rate_per_exposure(
         &self,
-        estimate: &Estimate,
+        estimate: &RareEstimate,
         resamples: u32,
-        again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, RareError>,
-    ) -> Result<Option<ExposedRate>, RareError> {
+        again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
+    ) -> Result<Option<RatePerExposure>, RareError> {
         if self.space.spec().exposure.is_none() {
             return Ok(None);
         }
-        let resamples = estimate_again(&self.space, self.seed, resamples, again)?;
-        Ok(ExposedRate::of(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
+        let resamples = estimate_on_resamples(&self.space, self.seed, resamples, again)?;
+        Ok(RatePerExposure::new(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
     /// The estimates in some of the resamples, as far as spaces could be fitted to them.
@@ -187,22 +187,22 @@ impl RarePlan {
         &self,
         resamples: u32,
         own: Range<u64>,
-        again: &mut dyn FnMut(&Space, u64) -> Result<Estimate, RareError>,
-    ) -> Result<Vec<Estimate>, RareError> {
+        again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
+    ) -> Result<Vec<RareEstimate>, RareError> {
         if own.is_empty() {
             return Ok(Vec::new());
         }
-        let (mut part, none) = (Part::of(own), Estimate::none());
-        let mut again = |space: &Space, seed: u64| part.next(none.clone(), || again(space, seed));
+        let (mut part, none) = (GaussianComponent::of(own), RareEstimate::empty());
+        let mut again = |space: &ScenarioSpace, seed: u64| part.next(none.clone(), || again(space, seed));
         // Why nothing can be resampled is said by who puts the parts together.
-        let _ = estimate_again(&self.space, self.seed, resamples, &mut again)?;
+        let _ = estimate_on_resamples(&self.space, self.seed, resamples, &mut again)?;
         Ok(part.found())
     }
 
     /// An estimate in another space, with less effort.
-    pub(super) fn estimate_in_space(&self, space: &Space, seed: u64, counter: &Counter<'_>) -> Result<Estimate, RareError> {
+    pub(super) fn estimate_in_space(&self, space: &ScenarioSpace, seed: u64, counter: &ProgressCounter<'_>) -> Result<RareEstimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
-        let other = Self { controller, space: space.clone(), specification, seed, effort: AGAIN, ..*self };
+        let other = Self { controller, space: space.clone(), specification, seed, effort: RESAMPLE_EFFORT, ..*self };
         Pilot::run(&other, other.method, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
@@ -218,8 +218,8 @@ impl RarePlan {
             space: self.space.name().to_owned(),
             space_sha256: sha256(file::to_toml(&self.space)?),
             failure: match &self.specification {
-                Specification::NoContact => self.controller.failure().to_owned(),
-                other => format!("`{other}` {VIOLATED}"),
+                Specification::NoContact => self.controller.failure_description().to_owned(),
+                other => format!("`{other}` {VIOLATED_SUFFIX}"),
             },
             seed: self.seed,
             method: self.method,
@@ -230,7 +230,7 @@ impl RarePlan {
 
 impl RareRecord {
     /// The report of an estimate.
-    pub(super) fn report(&self, estimate: Estimate) -> RareReport {
+    pub(super) fn report(&self, estimate: RareEstimate) -> RareReport {
         let record = self.clone();
         RareReport {
             version: 1,
@@ -247,7 +247,7 @@ impl RareRecord {
             method: record.method,
             effort: record.effort,
             estimate,
-            exposed: None,
+            exposure: None,
         }
         .with_gaps()
     }

@@ -9,18 +9,18 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::RareRecord;
 use super::importance::MixtureFitting;
-use super::{Estimate, Pilot, RareError, RarePlan, Repetitions};
-use crumple_core::observer::Counter;
-use crumple_store::work::{Work, WorkError};
-use crumple_world::scenario::space::Space;
+use super::{RareEstimate, Pilot, RareError, RarePlan, Repetitions};
+use crumple_core::observer::ProgressCounter;
+use crumple_store::run_folder::{RunFolder, RunFolderError};
+use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const PROGRESS_FILE: &str = "progress.json";
 
 /// A folder in which an estimate, or a shard of one, is made.
 #[derive(Debug)]
 pub(super) struct RareProgress {
-    run_folder: Work,
-    state: Found,
+    run_folder: RunFolder,
+    state: RareProgressFile,
 }
 
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -45,50 +45,50 @@ struct RareProgressFile {
 struct ResampleEstimates {
     /// Of so many.
     resamples: u32,
-    estimates: Vec<Estimate>,
+    estimates: Vec<RareEstimate>,
 }
 
 impl RareProgress {
     /// What is in the folder of so many repetitions of an estimate.
-    pub(super) fn load(work: Work, record: &RareRecord, repetitions: u64) -> Result<Self, WorkError> {
-        let damaged = |problem: String| WorkError::damaged(&work.path(PROGRESS), problem);
-        let Some(bytes) = work.read(PROGRESS)? else { return Ok(Self { work, found: Found::default() }) };
-        let found: Found = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
-        match found.may_be(record, repetitions) {
-            true => Ok(Self { work, found }),
+    pub(super) fn load(work: RunFolder, record: &RareRecord, repetitions: u64) -> Result<Self, RunFolderError> {
+        let damaged = |problem: String| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem);
+        let Some(bytes) = work.read(PROGRESS_FILE)? else { return Ok(Self { run_folder: work, state: RareProgressFile::default() }) };
+        let found: RareProgressFile = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+        match found.is_consistent_with(record, repetitions) {
+            true => Ok(Self { run_folder: work, state: found }),
             false => Err(damaged("not of this estimate".to_owned())),
         }
     }
 
     /// The folder.
-    pub(super) fn run_folder(&self) -> &Work {
-        &self.work
+    pub(super) fn run_folder(&self) -> &RunFolder {
+        &self.run_folder
     }
 
     /// The pilot that is there, or what is left of it.
-    pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &Counter<'_>) -> Result<Pilot, RareError> {
+    pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &ProgressCounter<'_>) -> Result<Pilot, RareError> {
         let dimension = plan.space.dimension();
-        let may_be = |fitting: &MixtureFitting| fitting.may_be(plan.effort, plan.seed, dimension);
-        if !self.found.pilot.iter().all(|pilot| pilot.is_in(dimension)) || !self.found.fitting.iter().all(may_be) {
-            return Err(WorkError::damaged(&self.work.path(PROGRESS), "not of this space").into());
+        let may_be = |fitting: &MixtureFitting| fitting.is_consistent_with(plan.effort, plan.seed, dimension);
+        if !self.state.pilot.iter().all(|pilot| pilot.has_dimension(dimension)) || !self.state.fitting.iter().all(may_be) {
+            return Err(RunFolderError::damaged(&self.run_folder.path(PROGRESS_FILE), "not of this space").into());
         }
-        if let Some(pilot) = &self.found.pilot {
+        if let Some(pilot) = &self.state.pilot {
             return Ok(pilot.clone());
         }
-        let work = &self.work;
+        let work = &self.run_folder;
         let mut keep = |fitting: &MixtureFitting| -> Result<(), RareError> {
-            Found { fitting: Some(fitting.clone()), ..Found::default() }.keep(work)
+            RareProgressFile { fitting: Some(fitting.clone()), ..RareProgressFile::default() }.write(work)
         };
         let asked = (plan.method, plan.effort, plan.seed);
-        let pilot = Pilot::go_on(plan, asked, self.found.fitting.take(), &mut keep, counter)?;
-        self.found.pilot = Some(pilot.clone());
-        self.found.keep(&self.work)?;
+        let pilot = Pilot::resume(plan, asked, self.state.fitting.take(), &mut keep, counter)?;
+        self.state.pilot = Some(pilot.clone());
+        self.state.write(&self.run_folder)?;
         Ok(pilot)
     }
 
     /// How many of its repetitions were made already.
     pub(super) fn completed_repetitions(&self) -> u64 {
-        self.found.repetitions.as_ref().map_or(0, Repetitions::count)
+        self.state.repetitions.as_ref().map_or(0, Repetitions::count)
     }
 
     /// Some of the repetitions, of which those that are there are not made again.
@@ -97,37 +97,37 @@ impl RareProgress {
         plan: &RarePlan,
         pilot: &Pilot,
         own: Range<u64>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Repetitions, RareError> {
         let mut next = own.start + self.completed_repetitions();
         // Where the pilot reached no failure, there are none to make.
-        let mut repetitions = match self.found.repetitions.take() {
+        let mut repetitions = match self.state.repetitions.take() {
             Some(kept) => kept,
-            None => pilot.repeat(plan, own.start..own.start, counter)?,
+            None => pilot.run_repetitions(plan, own.start..own.start, counter)?,
         };
         while pilot.reaches_failure() && next < own.end {
             let end = own.end.min(next.saturating_add(pilot.repetitions_per_write()));
-            repetitions.append(pilot.repeat(plan, next..end, counter)?);
+            repetitions.append(pilot.run_repetitions(plan, next..end, counter)?);
             next = end;
-            self.found.repetitions = Some(repetitions.clone());
-            self.found.keep(&self.work)?;
+            self.state.repetitions = Some(repetitions.clone());
+            self.state.write(&self.run_folder)?;
         }
-        self.found.repetitions = Some(repetitions.clone());
+        self.state.repetitions = Some(repetitions.clone());
         Ok(repetitions)
     }
 
     /// Estimates in other spaces, those fitted to so many resamples of which it makes some in order: what is there is not made again.
-    pub(super) fn resample_estimator(&mut self, resamples: u32) -> Again<'_> {
-        if self.found.resampled.as_ref().is_none_or(|resampled| resampled.resamples != resamples) {
-            self.found.resampled = Some(ResampleEstimates { resamples, estimates: Vec::new() });
+    pub(super) fn resample_estimator(&mut self, resamples: u32) -> ResampleEstimator<'_> {
+        if self.state.resample_estimates.as_ref().is_none_or(|resampled| resampled.resamples != resamples) {
+            self.state.resample_estimates = Some(ResampleEstimates { resamples, estimates: Vec::new() });
         }
-        Again { progress: self, next: 0 }
+        ResampleEstimator { progress: self, next: 0 }
     }
 
     /// Writes what it comes to. What it was made of is needed no longer.
     pub(super) fn finish(&self, name: &str, contents: String) -> Result<(), RareError> {
-        self.work.changes().write(name, contents).remove(PROGRESS).commit()?;
-        Ok(self.work.finish()?)
+        self.run_folder.transaction().write(name, contents).remove(PROGRESS_FILE).commit()?;
+        Ok(self.run_folder.finish()?)
     }
 }
 
@@ -137,40 +137,40 @@ pub(super) struct ResampleEstimator<'a> {
     next: usize,
 }
 
-impl Again<'_> {
+impl ResampleEstimator<'_> {
     /// The next one.
     pub(super) fn next(
         &mut self,
         plan: &RarePlan,
-        (space, seed): (&Space, u64),
-        counter: &Counter<'_>,
-    ) -> Result<Estimate, RareError> {
-        let found = &mut self.progress.found;
-        let kept = found.resampled.as_ref().and_then(|resampled| resampled.estimates.get(self.next)).cloned();
+        (space, seed): (&ScenarioSpace, u64),
+        counter: &ProgressCounter<'_>,
+    ) -> Result<RareEstimate, RareError> {
+        let found = &mut self.progress.state;
+        let kept = found.resample_estimates.as_ref().and_then(|resampled| resampled.estimates.get(self.next)).cloned();
         self.next += 1;
         if let Some(kept) = kept {
             return Ok(kept);
         }
-        let estimate = plan.again(space, seed, counter)?;
-        if let Some(resampled) = &mut found.resampled {
+        let estimate = plan.estimate_in_space(space, seed, counter)?;
+        if let Some(resampled) = &mut found.resample_estimates {
             resampled.estimates.push(estimate.clone());
         }
         // Of an estimate that was finished nothing but itself is kept.
-        if !self.progress.work.is_complete() {
-            found.keep(&self.progress.work)?;
+        if !self.progress.run_folder.is_complete() {
+            found.write(&self.progress.run_folder)?;
         }
         Ok(estimate)
     }
 }
 
-impl Found {
-    fn write(&self, work: &Work) -> Result<(), RareError> {
-        Ok(work.write(PROGRESS, serde_json::to_string(self)? + "\n")?)
+impl RareProgressFile {
+    fn write(&self, work: &RunFolder) -> Result<(), RareError> {
+        Ok(work.write(PROGRESS_FILE, serde_json::to_string(self)? + "\n")?)
     }
 
     /// Whether an estimate of which so many repetitions are made could have come to it.
     fn is_consistent_with(&self, record: &RareRecord, repetitions: u64) -> bool {
-        let is_own = |pilot: &Pilot| pilot.is_of(record.method, record.effort, record.seed);
+        let is_own = |pilot: &Pilot| pilot.is_run_by(record.method, record.effort, record.seed);
         let may_be = |some: &Repetitions| {
             some.count() <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.is_consistent_with(some))
         };

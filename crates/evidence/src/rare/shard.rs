@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::plan::RareRecord;
-use super::progress::Progress;
-use super::{Estimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
-use crate::exposure::{ExposedRate, ResampleCountMismatch, FailureProbability, MergedResamples, estimate_again, own_resamples};
+use super::progress::RareProgress;
+use super::{RareEstimate, Pilot, RareError, RarePlan, RareReport, Repetitions};
+use crate::exposure::{RatePerExposure, ResampleCountMismatch, FailureProbability, MergedResamples, estimate_on_resamples, resample_range};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{Counter, Observer, Progress as RunProgress};
-use crumple_store::shard::{MergeError, Mergeable, Merged, SHARD, Shard, Sharded, open_shard};
-use crumple_store::work::{Finished, WorkError};
-use crumple_world::scenario::space::{Space, file};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress as RunProgress};
+use crumple_store::shard::{MergeError, Mergeable, MergedShards, SHARD_FILE, ShardId, Sharded, open_shard};
+use crumple_store::run_folder::{CompletedRun, RunFolderError};
+use crumple_world::scenario::space::{ScenarioSpace, file};
 
 /// What a folder of one is called in its `work.json`.
 pub const ESTIMATE_SHARD_KIND: &str = "shard of a rare-failure estimate";
@@ -33,18 +33,18 @@ pub struct ShardedEstimate {
 impl Sharded for ShardedEstimate {
     const KIND: &'static str = ESTIMATE_SHARD_KIND;
     const VERSION: u32 = 3;
-    const RESULTS: &'static str = "repetitions.json";
-    const PARTS: &'static str = "repetitions";
+    const RESULTS_FILE: &'static str = "repetitions.json";
+    const PARTS_NAME: &'static str = "repetitions";
     const IS_PRETTY: bool = true;
 
-    fn parts(&self) -> u64 {
+    fn part_count(&self) -> u64 {
         self.estimate.effort.repetitions as u64
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    fn differing_field(&self, other: &Self) -> Option<String> {
         let fields = [
             ("what is estimated, how or by which release", other.estimate != self.estimate),
-            ("the number of resamples", other.exposed != self.exposed),
+            ("the number of resamples", other.exposure != self.exposure),
         ];
         fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned())
     }
@@ -54,17 +54,17 @@ impl Mergeable for ShardedEstimate {
     type File = RareShardResults;
     type Results = RareShardResults;
 
-    fn check(&self, repeated: RareShardResults, shard: Shard, own: &Range<u64>) -> Result<RareShardResults, String> {
+    fn check(&self, repeated: RareShardResults, shard: ShardId, own: &Range<u64>) -> Result<RareShardResults, String> {
         let made = if repeated.pilot.reaches_failure() { own.end - own.start } else { 0 };
-        let resamples = self.exposed.as_ref().map_or(0, |exposed| exposed.resamples);
-        let resampled = own_resamples(resamples, own, self.parts());
+        let resamples = self.exposure.as_ref().map_or(0, |exposed| exposed.resamples);
+        let resampled = resample_range(resamples, own, self.part_count());
         let is_of_space = |exposed: &ExposureConfig| sha256(&exposed.space_text) == self.estimate.space_sha256;
-        let is_sound = repeated.pilot.is_of(self.estimate.method, self.estimate.effort, self.estimate.seed)
+        let is_sound = repeated.pilot.is_run_by(self.estimate.method, self.estimate.effort, self.estimate.seed)
             && repeated.pilot.is_consistent_with(&repeated.repetitions)
             && repeated.repetitions.count() == made
-            && self.exposed.iter().all(is_of_space)
+            && self.exposure.iter().all(is_of_space)
             // There are fewer where no space could be fitted to some.
-            && repeated.resampled.len() as u64 <= resampled.end - resampled.start;
+            && repeated.resample_estimates.len() as u64 <= resampled.end - resampled.start;
         if is_sound { Ok(repeated) } else { Err(format!("not what shard {shard} of that estimate comes to")) }
     }
 
@@ -93,15 +93,15 @@ pub struct RareShardResults {
     /// Estimates in its share of the resamples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[serde(rename = "resampled")]
-    resample_estimates: Vec<Estimate>,
+    resample_estimates: Vec<RareEstimate>,
 }
 
 /// A folder for a shard of an estimate, in use.
 pub struct RareShard<'a> {
     plan: &'a RarePlan,
-    shard: Shard,
+    shard: ShardId,
     resamples: u32,
-    progress: Progress,
+    progress: RareProgress,
 }
 
 impl RarePlan {
@@ -112,24 +112,24 @@ impl RarePlan {
     /// holds something else, or is damaged.
     pub fn open_shard_folder(
         &self,
-        shard: Shard,
+        shard: ShardId,
         resamples: u32,
         folder: &Path,
         resume: bool,
     ) -> Result<RareShard<'_>, RareError> {
         let estimate = self.record()?;
         if estimate.controller_sha256.is_none() {
-            return Err(RareError::Unknown(self.controller.name.clone()));
+            return Err(RareError::NoIdentity(self.controller.name.clone()));
         }
-        let own = shard.range(self.effort.repetitions as u64, ShardedEstimate::PARTS)?;
+        let own = shard.range(self.effort.repetitions as u64, ShardedEstimate::PARTS_NAME)?;
         let exposed = match self.space.spec().exposure {
             Some(_) => Some(ExposureConfig { resamples, space_text: file::to_toml(&self.space)? }),
             None => None,
         };
         let resamples = exposed.as_ref().map_or(0, |exposed| exposed.resamples);
-        let sharded = ShardedEstimate { estimate, exposed };
+        let sharded = ShardedEstimate { estimate, exposure: exposed };
         let work = open_shard(&sharded, shard, folder, resume)?;
-        let progress = Progress::in_folder(work, &sharded.estimate, own.end - own.start)?;
+        let progress = RareProgress::load(work, &sharded.estimate, own.end - own.start)?;
         Ok(RareShard { plan: self, shard, resamples, progress })
     }
 }
@@ -138,7 +138,7 @@ impl RareShard<'_> {
     /// Whether it was made before.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.progress.work().is_complete()
+        self.progress.run_folder().is_complete()
     }
 
     /// Places the levels, or what is left of that, and keeps them. Reports every batch of runs.
@@ -146,7 +146,7 @@ impl RareShard<'_> {
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the pilot.
     pub fn run_pilot(&mut self, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
-        self.progress.pilot(self.plan, &Counter::new(observer, None))
+        self.progress.run_pilot(self.plan, &ProgressCounter::new(observer, None))
     }
 
     /// Runs its repetitions, with the levels of the pilot, and estimates in its share of the resamples, without what is in the folder already.
@@ -154,30 +154,30 @@ impl RareShard<'_> {
     /// # Errors
     /// [`RareError`] if a run cannot be made or a file not written, or `observer` stops the shard.
     pub fn run_repetitions(&mut self, pilot: &Pilot, observer: &dyn Observer<RunProgress>) -> Result<(), RareError> {
-        let counter = Counter::new(observer, None);
+        let counter = ProgressCounter::new(observer, None);
         let all = self.plan.effort.repetitions as u64;
-        let range = self.shard.range(all, ShardedEstimate::PARTS)?;
-        let own = own_resamples(self.resamples, &range, all);
+        let range = self.shard.range(all, ShardedEstimate::PARTS_NAME)?;
+        let own = resample_range(self.resamples, &range, all);
         let (plan, resamples) = (self.plan, self.resamples);
-        let repetitions = self.progress.repeat(plan, pilot, range, &counter)?;
+        let repetitions = self.progress.run_repetitions(plan, pilot, range, &counter)?;
         let resampled = match pilot.reaches_failure() {
             true => {
-                let mut again = self.progress.again(resamples);
-                plan.resampled(resamples, own, &mut |space, seed| again.next(plan, (space, seed), &counter))?
+                let mut again = self.progress.resample_estimator(resamples);
+                plan.estimate_resamples(resamples, own, &mut |space, seed| again.next(plan, (space, seed), &counter))?
             }
             false => Vec::new(),
         };
-        let repeated = RareShardResults { pilot: pilot.clone(), repetitions, resampled };
-        self.progress.finish(ShardedEstimate::RESULTS, serde_json::to_string_pretty(&repeated)? + "\n")
+        let repeated = RareShardResults { pilot: pilot.clone(), repetitions, resample_estimates: resampled };
+        self.progress.finish(ShardedEstimate::RESULTS_FILE, serde_json::to_string_pretty(&repeated)? + "\n")
     }
 }
 
 /// Shards of one estimate.
 #[derive(Debug)]
-pub struct MergedEstimate(Merged<ShardedEstimate>);
+pub struct MergedEstimate(MergedShards<ShardedEstimate>);
 
 impl Deref for MergedEstimate {
-    type Target = Merged<ShardedEstimate>;
+    type Target = MergedShards<ShardedEstimate>;
 
     fn deref(&self) -> &Self::Target {
         &self.0
@@ -195,8 +195,8 @@ impl MergedEstimate {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        Merged::of(folder, found).map(Self)
+    pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
+        MergedShards::new(folder, found).map(Self)
     }
 
     /// The estimate, with what it comes to per hour where the space says in how much driving it was seen; none while repetitions are
@@ -208,20 +208,20 @@ impl MergedEstimate {
         let Some(first) = self.results().next().filter(|_| self.missing_part_count() == 0) else { return Ok(None) };
         let repetitions = self.results().map(|repeated| &repeated.repetitions);
         let report = self.work().estimate.report(first.pilot.summary(repetitions));
-        Ok(Some(RareReport { exposed: self.exposed(&report.estimate)?, ..report }))
+        Ok(Some(RareReport { exposure: self.rate_per_exposure(&report.estimate)?, ..report }))
     }
 
-    fn rate_per_exposure(&self, estimate: &Estimate) -> Result<Option<ExposedRate>, MergeError> {
-        let Some(ExposureConfig { resamples, space_text }) = &self.work().exposed else { return Ok(None) };
-        let unusable = |problem: String| self.parts().unusable(SHARD, problem);
+    fn rate_per_exposure(&self, estimate: &RareEstimate) -> Result<Option<RatePerExposure>, MergeError> {
+        let Some(ExposureConfig { resamples, space_text }) = &self.work().exposure else { return Ok(None) };
+        let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
         let space = file::from_toml(space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let mut kept = MergedResamples::of(self.results().flat_map(|repeated| &repeated.resampled).cloned().collect());
-        let resamples = estimate_again(&space, self.work().estimate.seed, *resamples, &mut |_: &Space, _| kept.next());
-        let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
+        let mut kept = MergedResamples::new(self.results().flat_map(|repeated| &repeated.resample_estimates).cloned().collect());
+        let resamples = estimate_on_resamples(&space, self.work().estimate.seed, *resamples, &mut |_: &ScenarioSpace, _| kept.next());
+        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
         let resamples =
             resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
-        Ok(ExposedRate::of(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
+        Ok(RatePerExposure::new(&space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
     /// Writes the folder of the whole estimate, that of an estimate by one machine to the byte, and says where the estimate is; none
@@ -231,13 +231,13 @@ impl MergedEstimate {
     /// [`RareError`] if the shards do not go with their space, or the folder cannot be used, or holds something else.
     pub fn write_in(&self, folder: &Path) -> Result<Option<(PathBuf, RareReport)>, RareError> {
         let Some(report) = self.report()? else { return Ok(None) };
-        let folder = self.work().estimate.in_folder(folder, true)?;
-        match folder.kept()? {
-            Some(kept) if kept != report.kept() => {
+        let folder = self.work().estimate.open_folder(folder, true)?;
+        match folder.read_report()? {
+            Some(kept) if kept != report.without_exposure() => {
                 let problem = "there is an estimate of the same configuration that came to something else";
-                return Err(WorkError::damaged(&folder.path(), problem).into());
+                return Err(RunFolderError::damaged(&folder.path(), problem).into());
             }
-            _ => folder.keep(&report)?,
+            _ => folder.write_report(&report)?,
         }
         Ok(Some((folder.path(), report)))
     }

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{Effort, Estimate, Level};
+use super::{SplittingConfig, RareEstimate, Level};
 use crate::RateInterval;
-use crumple_core::observer::{Counter, Stopped};
+use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Levels after which the pilot gives up: failures are then rarer than about 10⁻¹².
@@ -53,14 +53,14 @@ pub(super) trait LimitState: Sync {
     ///
     /// # Errors
     /// The first run that cannot be made.
-    fn margins(&self, states: &[State]) -> Result<Vec<f64>, Self::Error>;
+    fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, Self::Error>;
 }
 
 /// The levels that a pilot has placed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplittingLevels {
-    effort: Effort,
+    effort: SplittingConfig,
     seed: u64,
     stages: Vec<SplittingStage>,
     /// How many runs the pilots took.
@@ -94,7 +94,7 @@ impl SplittingStage {
 }
 
 /// A run and its margin.
-pub(super) type Particle = (State, f64);
+pub(super) type Particle = (RandomInputs, f64);
 
 /// One population, with a stream of its own.
 pub(super) struct ParticlePopulation<'a, P: LimitState> {
@@ -102,7 +102,7 @@ pub(super) struct ParticlePopulation<'a, P: LimitState> {
     samples: usize,
     random: Stream,
     pub(super) evaluations: u64,
-    counter: &'a Counter<'a>,
+    counter: &'a ProgressCounter<'a>,
 }
 
 /// What came of one repetition.
@@ -135,24 +135,24 @@ impl SplittingLevels {
     /// Those of the problem.
     pub(super) fn run_pilots<P: LimitState>(
         problem: &P,
-        effort: Effort,
+        effort: SplittingConfig,
         seed: u64,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
         let mut pilot = Self::run_pilot(problem, effort, seed, 0, counter)?;
         let first = (pilot.pilot_draws, pilot.pilot_failures);
         for attempt in 1..PILOT_FACTORS.len() {
-            if pilot.reached {
+            if pilot.reaches_failure {
                 break;
             }
             let next = Self::run_pilot(problem, effort, seed, attempt, counter)?;
             // Whether there is a next one is not independent of what the draws before came to: with repetitions, those do that there are
             // in any case.
-            let (draws, failures) = match next.reached {
+            let (draws, failures) = match next.reaches_failure {
                 true => first,
                 false => (pilot.pilot_draws + next.pilot_draws, pilot.pilot_failures + next.pilot_failures),
             };
-            pilot = Self { pilot: pilot.pilot + next.pilot, pilot_draws: draws, pilot_failures: failures, ..next };
+            pilot = Self { pilot_runs: pilot.pilot_runs + next.pilot_runs, pilot_draws: draws, pilot_failures: failures, ..next };
         }
         Ok(pilot)
     }
@@ -160,26 +160,26 @@ impl SplittingLevels {
     /// What one of the pilots comes to.
     pub(super) fn run_pilot<P: LimitState>(
         problem: &P,
-        effort: Effort,
+        effort: SplittingConfig,
         seed: u64,
         attempt: usize,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
-        let effort = effort.at_least();
+        let effort = effort.clamped();
         let samples = effort.samples * PILOT_FACTORS.get(attempt).copied().unwrap_or(1);
         let own = if attempt == 0 { 0 } else { LATER_PILOT_STREAM_OFFSET + attempt as u64 };
         let mut climber = ParticlePopulation::new(problem, samples, stream(seed, Purpose::RareEvents, own), counter);
-        let mut population = climber.first()?;
-        let (pilot_draws, pilot_failures) = (samples as u64, failures(&population));
+        let mut population = climber.sample_initial()?;
+        let (pilot_draws, pilot_failures) = (samples as u64, count_failures(&population));
         let (stages, pilot_levels) = (Vec::new(), Vec::new());
         let mut pilot =
-            Self { effort, seed, stages, pilot: 0, pilot_draws, pilot_failures, reached: false, pilot_levels };
+            Self { effort, seed, stages, pilot_runs: 0, pilot_draws, pilot_failures, reaches_failure: false, pilot_levels };
         let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
         let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
         loop {
-            if failures(&population) >= passing as u64 {
+            if count_failures(&population) >= passing as u64 {
                 pilot.stages.push(SplittingStage::LAST);
-                pilot.reached = true;
+                pilot.reaches_failure = true;
                 break;
             }
             let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
@@ -191,7 +191,7 @@ impl SplittingLevels {
             let Some(threshold) = (if quantile < plateau { Some(quantile) } else { below }) else { break };
             if threshold < 0.0 {
                 pilot.stages.push(SplittingStage::LAST);
-                pilot.reached = true;
+                pilot.reaches_failure = true;
                 break;
             }
             if pilot.stages.len() == MAX_LEVELS {
@@ -201,10 +201,10 @@ impl SplittingLevels {
             let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / samples as f64;
             probability *= share;
-            population = climber.multiplied(survivors);
+            population = climber.resample(survivors);
             let (mut accepted, mut proposed) = (0, 0);
             for _ in 0..MOVES_PER_LEVEL {
-                let (taken, tried) = climber.moved(&mut population, &stage)?;
+                let (taken, tried) = climber.mcmc_move(&mut population, &stage)?;
                 let acceptance = taken as f64 / tried.max(1) as f64;
                 stage.step = (stage.step * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp()).clamp(MIN_STEP, 1.0);
                 (accepted, proposed) = (accepted + taken, proposed + tried);
@@ -221,25 +221,25 @@ impl SplittingLevels {
                 acceptance,
             });
         }
-        pilot.pilot = climber.evaluations;
+        pilot.pilot_runs = climber.evaluations;
         Ok(pilot)
     }
 
     /// Whether the pilot reached a failure.
     #[must_use]
     pub fn reaches_failure(&self) -> bool {
-        self.reached
+        self.reaches_failure
     }
 
     /// How many runs the repetitions will make at most.
     #[must_use]
     pub fn planned_runs(&self) -> u64 {
         let moves = MOVES_PER_LEVEL * self.stages.len().saturating_sub(1);
-        if self.reached { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
+        if self.reaches_failure { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
     /// How much work goes into it.
-    pub(super) fn effort(&self) -> Effort {
+    pub(super) fn effort(&self) -> SplittingConfig {
         self.effort
     }
 
@@ -254,13 +254,13 @@ impl SplittingLevels {
     }
 
     /// What the pilot alone says.
-    pub(super) fn pilot_estimate(&self) -> Estimate {
-        Estimate {
-            evaluations: self.pilot,
+    pub(super) fn pilot_estimate(&self) -> RareEstimate {
+        RareEstimate {
+            evaluations: self.pilot_runs,
             independent_runs: self.pilot_draws,
             independent_failures: self.pilot_failures,
             levels: self.pilot_levels.clone(),
-            ..Estimate::none()
+            ..RareEstimate::empty()
         }
     }
 
@@ -272,22 +272,22 @@ impl SplittingLevels {
         &self,
         problem: &P,
         repetitions: Range<u64>,
-        counter: &Counter<'_>,
+        counter: &ProgressCounter<'_>,
     ) -> Result<Vec<Repetition>, P::Error> {
-        let repetitions = if self.reached { repetitions } else { 0..0 };
+        let repetitions = if self.reaches_failure { repetitions } else { 0..0 };
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
             let mut seen = Vec::with_capacity(self.stages.len());
             let failures = climber.climb(&self.stages, None, |here, _| seen.push(here))?;
-            Ok(Repetition { failures, seen, evaluations: climber.evaluations })
+            Ok(Repetition { initial_failures: failures, levels: seen, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
     }
 
     /// Whether it was placed by that seed with that effort.
-    pub(super) fn is_placed_by(&self, effort: Effort, seed: u64) -> bool {
-        self.effort == effort.at_least() && self.seed == seed
+    pub(super) fn is_placed_by(&self, effort: SplittingConfig, seed: u64) -> bool {
+        self.effort == effort.clamped() && self.seed == seed
     }
 
     /// Whether these repetitions could have come of it.
@@ -298,23 +298,23 @@ impl SplittingLevels {
             |seen: &LevelStats| (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves;
         let may_be = |one: &Repetition| {
             let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
-            let is_short = one.seen.len() <= self.stages.len() && one.failures <= samples;
-            is_short && one.seen.iter().all(is_share) && one.evaluations <= most
+            let is_short = one.levels.len() <= self.stages.len() && one.initial_failures <= samples;
+            is_short && one.levels.iter().all(is_share) && one.evaluations <= most
         };
         repetitions.iter().all(may_be)
     }
 
     /// What all repetitions come to, in their order.
     #[must_use]
-    pub fn summary(&self, repeated: Vec<Repetition>) -> Estimate {
+    pub fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
         let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
         let independent_failures =
-            repeated.iter().map(|one| one.failures).fold(self.pilot_failures, u64::saturating_add);
-        if !self.reached {
-            return self.begun();
+            repeated.iter().map(|one| one.initial_failures).fold(self.pilot_failures, u64::saturating_add);
+        if !self.reaches_failure {
+            return self.pilot_estimate();
         }
-        let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot, u64::saturating_add);
-        let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.seen).collect();
+        let evaluations = repeated.iter().map(|one| one.evaluations).fold(self.pilot_runs, u64::saturating_add);
+        let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.levels).collect();
         // A repetition that died out before the last level has seen no failure.
         let product = |seen: &Vec<LevelStats>, levels: usize| -> f64 {
             if seen.len() < levels { 0.0 } else { seen.iter().take(levels).map(|seen| seen.share).product() }
@@ -334,12 +334,12 @@ impl SplittingLevels {
         });
         let levels: Vec<Level> = levels.collect();
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
-        let begun = Estimate { evaluations, independent_runs, independent_failures, levels, ..Estimate::none() };
+        let begun = RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::empty() };
         begun.with_repetitions(repetitions)
     }
 }
 
-impl Estimate {
+impl RareEstimate {
     /// Of nothing.
     pub(super) fn empty() -> Self {
         Self {
@@ -367,16 +367,16 @@ impl Estimate {
     #[must_use]
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (probability, variation) = (self.probability?, self.coefficient_of_variation?);
-        match self.counted() {
+        match self.counted_failures() {
             Some((failures, runs)) => {
-                let RateInterval { lower, upper } = RateInterval::exact(failures, runs, confidence);
+                let RateInterval { lower, upper } = RateInterval::clopper_pearson(failures, runs, confidence);
                 Some([lower, upper])
             }
             None => {
                 let raw = probability.max(mean(&self.repetitions));
-                let [lower, upper] = interval(raw, variation, self.repetitions.len(), confidence)?;
+                let [lower, upper] = lognormal_interval(raw, variation, self.repetitions.len(), confidence)?;
                 // The spread of weights alone may leave nothing that is a probability.
-                if lower < 1.0 { Some([lower, upper]) } else { self.independent(confidence) }
+                if lower < 1.0 { Some([lower, upper]) } else { self.independent_interval(confidence) }
             }
         }
     }
@@ -397,7 +397,7 @@ impl Estimate {
     #[must_use]
     pub fn independent_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let (failures, runs) = (self.independent_failures, self.independent_runs);
-        let RateInterval { lower, upper } = (runs > 0).then(|| RateInterval::exact(failures, runs, confidence))?;
+        let RateInterval { lower, upper } = (runs > 0).then(|| RateInterval::clopper_pearson(failures, runs, confidence))?;
         Some([lower, upper])
     }
 }
@@ -408,7 +408,7 @@ fn count_failures(population: &[Particle]) -> u64 {
 }
 
 impl<'a, P: LimitState> ParticlePopulation<'a, P> {
-    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, counter: &'a Counter<'a>) -> Self {
+    pub(super) fn new(problem: &'a P, samples: usize, random: Stream, counter: &'a ProgressCounter<'a>) -> Self {
         Self { problem, samples, random, evaluations: 0, counter }
     }
 
@@ -420,17 +420,17 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         last_step: Option<f64>,
         mut told: impl FnMut(LevelStats, &[Particle]),
     ) -> Result<u64, P::Error> {
-        let mut population = self.first()?;
-        let failures = failures(&population);
+        let mut population = self.sample_initial()?;
+        let failures = count_failures(&population);
         for stage in stages {
             let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
             let mut here = LevelStats { share, accepted: 0, proposed: 0 };
-            population = self.multiplied(survivors);
+            population = self.resample(survivors);
             let step = if stage.is_last { last_step } else { Some(stage.step) };
             if let Some(step) = step.filter(|_| !population.is_empty()) {
                 for _ in 0..MOVES_PER_LEVEL {
-                    let (accepted, proposed) = self.moved(&mut population, &SplittingStage { step, ..*stage })?;
+                    let (accepted, proposed) = self.mcmc_move(&mut population, &SplittingStage { step, ..*stage })?;
                     here = LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
@@ -453,17 +453,17 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
 
     /// Independent draws.
     fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
-        self.drawn(|dimension, random| State {
+        self.sample_with(|dimension, random| RandomInputs {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
-            noise: new_noise(random),
+            noise_seed: new_noise_seed(random),
         })
     }
 
     /// A population by any law.
-    pub(super) fn sample_with(&mut self, draw: impl Fn(usize, &mut Stream) -> State) -> Result<Vec<Particle>, P::Error> {
+    pub(super) fn sample_with(&mut self, draw: impl Fn(usize, &mut Stream) -> RandomInputs) -> Result<Vec<Particle>, P::Error> {
         let dimension = self.problem.dimension();
-        let states: Vec<State> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
-        let margins = self.margins(&states)?;
+        let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
+        let margins = self.evaluate_margins(&states)?;
         Ok(states.into_iter().zip(margins).collect())
     }
 
@@ -488,19 +488,19 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         // An autoregressive step keeps normal numbers normal (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
-            let noise = if random.random::<f64>() < NEW_NOISE_SHARE { new_noise(random) } else { state.noise };
+            let noise = if random.random::<f64>() < NEW_NOISE_SHARE { new_noise_seed(random) } else { state.noise_seed };
             let mut normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn
             };
-            State { normal: state.normal.iter().map(&mut normal).collect(), noise }
+            RandomInputs { normal: state.normal.iter().map(&mut normal).collect(), noise_seed: noise }
         };
-        let proposals: Vec<State> = population.iter().map(|sample| propose(sample, &mut self.random)).collect();
-        let margins = self.margins(&proposals)?;
+        let proposals: Vec<RandomInputs> = population.iter().map(|sample| propose(sample, &mut self.random)).collect();
+        let margins = self.evaluate_margins(&proposals)?;
         let (mut accepted, mut proposed) = (0, 0);
         for (sample, (proposal, margin)) in population.iter_mut().zip(proposals.into_iter().zip(margins)) {
             let passes = stage.passes(margin);
-            if proposal.noise == sample.0.noise {
+            if proposal.noise_seed == sample.0.noise_seed {
                 proposed += 1;
                 accepted += u64::from(passes);
             }
@@ -511,7 +511,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Ok((accepted, proposed))
     }
 
-    fn evaluate_margins(&mut self, states: &[State]) -> Result<Vec<f64>, P::Error> {
+    fn evaluate_margins(&mut self, states: &[RandomInputs]) -> Result<Vec<f64>, P::Error> {
         let mut margins = self.problem.margins(states)?;
         margins.iter_mut().filter(|margin| margin.is_nan()).for_each(|margin| *margin = f64::INFINITY);
         self.evaluations += states.len() as u64;

@@ -10,20 +10,20 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::exposure::{ExposedRate, ResampleCountMismatch, FailureProbability, MergedResamples, run_again};
+use super::exposure::{RatePerExposure, ResampleCountMismatch, FailureProbability, MergedResamples, count_on_resamples};
 use super::rate_folder::RateFolderError;
 use super::rate_shard::ShardedCount;
-use super::record::{CountRecord, Tally, length};
-use crumple_store::shard::{MergeError, Merged, MissingShards, SHARD};
-use crumple_store::work::Finished;
-use crumple_world::scenario::space::{Space, file};
+use super::record::{CountRecord, CountTally, range_len};
+use crumple_store::shard::{MergeError, MergedShards, MissingShards, SHARD_FILE};
+use crumple_store::run_folder::CompletedRun;
+use crumple_world::scenario::space::{ScenarioSpace, file};
 
 /// Shards of one count.
 #[derive(Debug)]
-pub struct MergedCount(Merged<ShardedCount>);
+pub struct MergedCount(MergedShards<ShardedCount>);
 
 impl Deref for MergedCount {
-    type Target = Merged<ShardedCount>;
+    type Target = MergedShards<ShardedCount>;
 
     fn deref(&self) -> &Self::Target {
         &self.0
@@ -72,8 +72,8 @@ impl MergedCount {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        Merged::of(folder, found).map(Self)
+    pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
+        MergedShards::new(folder, found).map(Self)
     }
 
     /// What was fixed before the first run.
@@ -85,31 +85,31 @@ impl MergedCount {
     /// Whether every run was counted.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.missing().is_empty()
+        self.missing_ranges().is_empty()
     }
 
     /// What the shards come to.
     #[must_use]
-    pub fn partial_count(&self) -> SoFar {
-        let sum = |of: fn(&Tally) -> u64| self.parts().contents().map(of).sum::<u64>();
-        let missing: Vec<Range<u64>> = self.missing().into_iter().map(|blocks| self.record().runs_of(blocks)).collect();
-        let MissingShards { of_shards, missing_shards } = self.parts().missing_shards();
-        let open: u64 = missing.iter().map(length).sum();
+    pub fn partial_count(&self) -> PartialCount {
+        let sum = |of: fn(&CountTally) -> u64| self.parts().contents().map(of).sum::<u64>();
+        let missing: Vec<Range<u64>> = self.missing_ranges().into_iter().map(|blocks| self.record().run_range(blocks)).collect();
+        let MissingShards { shard_count: of_shards, missing_shards } = self.parts().missing_shards();
+        let open: u64 = missing.iter().map(range_len).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
-        SoFar {
+        PartialCount {
             registration_sha256: self.record().registration().digest(),
             registered_runs: self.record().registration().runs,
             runs: sum(|tally| tally.runs),
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
             only_second_failed: sum(|tally| tally.only_second_failed),
-            shards: self.parts().shards(),
+            shards: self.parts().shard_count(),
             duplicates: self.parts().duplicates(),
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
             missing_shards,
-            of_shards,
-            rate_at_most: match (self.record().is_of_two(), missing.is_empty()) {
+            shard_count: of_shards,
+            rate_at_most: match (self.record().is_comparison(), missing.is_empty()) {
                 (true, _) => None,
                 (false, true) => Some(self.record().rate_at_most(failures)),
                 (false, false) => Some(self.record().uncertified_rate_at_most(worst)),
@@ -119,13 +119,13 @@ impl MergedCount {
 
     /// The tally of all runs; none while some are missing.
     #[must_use]
-    pub fn tally(&self) -> Option<Tally> {
+    pub fn tally(&self) -> Option<CountTally> {
         if !self.is_complete() {
             return None;
         }
-        let mut tally = self.record().tally();
+        let mut tally = self.record().empty_tally();
         for (index, block) in (0..).zip(self.parts().contents().flat_map(|part| &part.blocks)) {
-            tally.add(length(&self.record().runs_of(index..index + 1)), block.clone());
+            tally.add_block(range_len(&self.record().run_range(index..index + 1)), block.clone());
         }
         Some(tally)
     }
@@ -135,20 +135,20 @@ impl MergedCount {
     ///
     /// # Errors
     /// [`MergeError`] if the new runs in resamples are not those of the space.
-    pub fn rate_per_exposure(&self) -> Result<Option<ExposedRate>, MergeError> {
+    pub fn rate_per_exposure(&self) -> Result<Option<RatePerExposure>, MergeError> {
         let (Some(tally), Some(resampling)) = (self.tally(), self.work().resampling) else { return Ok(None) };
-        let unusable = |problem: String| self.parts().unusable(SHARD, problem);
+        let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
         let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
         let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: no number".to_owned()))?;
-        let mut kept = MergedResamples::of(self.parts().contents().flat_map(|part| &part.resampled).copied().collect());
-        let resamples = run_again(&space, seed, resampling.0, resampling.1, &mut |_: &Space, _, _| kept.next());
-        let resamples = resamples.and_then(|resamples| kept.end().map(|()| resamples));
+        let mut kept = MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());
+        let resamples = count_on_resamples(&space, seed, resampling.0, resampling.1, &mut |_: &ScenarioSpace, _, _| kept.next());
+        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
         let resamples =
             resamples.map_err(|ResampleCountMismatch| unusable("not as many resamples as that space has".to_owned()))?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
-        Ok(ExposedRate::of(&space, known, resamples.as_ref()))
+        Ok(RatePerExposure::new(&space, known, resamples.as_ref()))
     }
 
     /// Writes the folder of the whole count, the same as that of a count by one machine, to the byte, and says where its certificate is;

@@ -6,8 +6,8 @@
 
 use rand::RngExt;
 
-use super::method::rankable;
-use super::{UnitCube, Search};
+use super::method::nan_as_infinity;
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Moves of each coordinate in a cycle.
@@ -35,17 +35,17 @@ impl Annealing {
         Self {
             random: stream(seed, Purpose::Search, 0),
             dimension: cube.dimension(),
-            warm_up: Vec::new(),
+            warm_up_values: Vec::new(),
             current: (f64::INFINITY, vec![0.5; cube.dimension()]),
             best: (f64::INFINITY, vec![0.5; cube.dimension()]),
             steps: vec![0.5; cube.dimension()],
             moves: 0,
-            asked: Vec::new(),
+            pending: Vec::new(),
         }
     }
 
     fn temperature(&self) -> f64 {
-        let finite = || self.warm_up.iter().filter(|value| value.is_finite());
+        let finite = || self.warm_up_values.iter().filter(|value| value.is_finite());
         let count = finite().count().max(1) as f64;
         let mean = finite().sum::<f64>() / count;
         let spread = (finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
@@ -59,30 +59,30 @@ impl Annealing {
     }
 }
 
-impl Search for Annealing {
+impl SearchAlgorithm for Annealing {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        self.asked = if self.warm_up.is_empty() {
+        self.pending = if self.warm_up_values.is_empty() {
             (0..WARM_UP_POINTS).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
         } else {
             let mut point = self.current.1.clone();
-            let coordinate = self.moving();
+            let coordinate = self.current_coordinate();
             if let (Some(x), Some(step)) = (point.get_mut(coordinate), self.steps.get(coordinate)) {
-                *x = reflected(*x + step * self.random.random_range(-1.0..1.0));
+                *x = reflect(*x + step * self.random.random_range(-1.0..1.0));
             }
             vec![point]
         };
-        self.asked.clone()
+        self.pending.clone()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
-        let values = robustness.iter().map(|&value| rankable(value));
-        let told: Vec<(f64, Vec<f64>)> = values.zip(std::mem::take(&mut self.asked)).collect();
+        let values = robustness.iter().map(|&value| nan_as_infinity(value));
+        let told: Vec<(f64, Vec<f64>)> = values.zip(std::mem::take(&mut self.pending)).collect();
         let Some(least) = told.iter().min_by(|a, b| a.0.total_cmp(&b.0)).cloned() else { return };
         if least.0 < self.best.0 {
             self.best = least.clone();
         }
-        if self.warm_up.is_empty() {
-            self.warm_up = told.iter().map(|(value, _)| *value).collect();
+        if self.warm_up_values.is_empty() {
+            self.warm_up_values = told.iter().map(|(value, _)| *value).collect();
             self.current = least;
             return;
         }
@@ -93,7 +93,7 @@ impl Search for Annealing {
             self.current = least;
         }
         // Grows by a tenth when accepted and shrinks by as much when not: at rest when half are accepted.
-        let coordinate = self.moving();
+        let coordinate = self.current_coordinate();
         if let Some(step) = self.steps.get_mut(coordinate) {
             *step = (*step * if accepted { 1.1 } else { 1.0 / 1.1 }).clamp(1e-9, 0.5);
         }

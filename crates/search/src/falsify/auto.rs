@@ -2,14 +2,14 @@
 
 use rand::RngExt;
 
-use super::climb::{Climbs, Move};
-use super::cma_es::{INITIAL_SIGMA, Run, default_population};
-use super::method::rankable;
+use super::climb::{Climbs, ClimbMove};
+use super::cma_es::{INITIAL_SIGMA, CmaRun, default_population};
+use super::method::nan_as_infinity;
 use super::plateau_bisection::{Plateaus, Segment};
 use super::sequential::LeaderDescent;
 use super::simple_points::sample_simple_point;
-use super::surrogate::{Chosen, Surrogate};
-use super::{UnitCube, Search};
+use super::surrogate::{MetricSelection, Surrogate};
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Simple points before anything else: problems that give in to extreme inputs end here.
@@ -75,16 +75,16 @@ pub(super) struct Auto {
     climbs: Climbs,
     segments: Vec<Segment>,
     good_points: Vec<(f64, Vec<f64>)>,
-    descent: Option<Descent>,
+    descent: Option<CmaDescent>,
     descents: usize,
-    paused: Vec<Descent>,
+    paused: Vec<CmaDescent>,
     exploration_left: usize,
     /// The latest coarse points and their values, in the order they were evaluated.
     surrogate_data: Vec<(Vec<f64>, f64)>,
     /// How many there have been, forgotten ones included.
     surrogate_data_count: usize,
     surrogate: Option<Surrogate>,
-    metric_selection: Chosen,
+    metric_selection: MetricSelection,
     leader_search: LeaderSearch,
     pending: Vec<PortfolioProposal>,
 }
@@ -103,7 +103,7 @@ struct LeaderSearch {
 
 #[derive(Debug)]
 struct CmaDescent {
-    run: Run,
+    run: CmaRun,
     best: f64,
     evaluations: usize,
     generations_without_gain: usize,
@@ -115,7 +115,7 @@ enum PortfolioProposal {
     Screened(Vec<f64>),
     Descent(Vec<f64>),
     PlateauBisection(Segment),
-    Climb(Move),
+    Climb(ClimbMove),
     Leader(Vec<f64>),
 }
 
@@ -123,7 +123,7 @@ impl Auto {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         Self {
             cube: cube.clone(),
-            coarse: cube.coarse(DESCENT_PIECES),
+            coarse: cube.with_max_pieces(DESCENT_PIECES),
             random: stream(seed, Purpose::Search, 0),
             plateaus: Plateaus::default(),
             climbs: Climbs::default(),
@@ -133,38 +133,38 @@ impl Auto {
             descents: 0,
             paused: Vec::new(),
             exploration_left: 0,
-            known: Vec::new(),
-            known_ever: 0,
+            surrogate_data: Vec::new(),
+            surrogate_data_count: 0,
             surrogate: None,
-            metric: Chosen::default(),
-            lead: LeaderSearch::default(),
-            asked: Vec::new(),
+            metric_selection: MetricSelection::default(),
+            leader_search: LeaderSearch::default(),
+            pending: Vec::new(),
         }
     }
 
     fn propose_batch(&mut self, share: BatchPlan) {
         for _ in 0..share.edges {
-            let next = self.edge();
-            self.asked.push(next);
+            let next = self.propose_edge();
+            self.pending.push(next);
         }
         for _ in 0..share.screened {
-            let next = self.screened();
-            self.asked.push(next);
+            let next = self.propose_screened();
+            self.pending.push(next);
         }
         for _ in 0..share.simple {
-            let next = self.simple();
-            self.asked.push(next);
+            let next = self.propose_simple();
+            self.pending.push(next);
         }
     }
 
     fn propose_edge(&mut self) -> PortfolioProposal {
-        let segment = self.segments.pop().or_else(|| self.plateaus.segment(&self.cube, &mut self.random));
+        let segment = self.segments.pop().or_else(|| self.plateaus.next_segment(&self.cube, &mut self.random));
         if let Some(segment) = segment {
             return PortfolioProposal::PlateauBisection(segment);
         }
-        match self.climbs.next(&self.cube, &mut self.random) {
+        match self.climbs.propose(&self.cube, &mut self.random) {
             Some(proposal) => PortfolioProposal::Climb(proposal),
-            None => self.simple(),
+            None => self.propose_simple(),
         }
     }
 
@@ -174,7 +174,7 @@ impl Auto {
 
     /// The most promising of several simple points.
     fn propose_screened(&mut self) -> PortfolioProposal {
-        let Some(surrogate) = &self.surrogate else { return self.simple() };
+        let Some(surrogate) = &self.surrogate else { return self.propose_simple() };
         let candidates = (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
         let scored = candidates.map(|point| (surrogate.score(&self.cube.coarsen(&self.coarse, &point)), point));
         let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
@@ -183,7 +183,7 @@ impl Auto {
 
     /// The first two descents start at the centre; then the best one that was broken off continues, and new ones start at
     /// the best points, by turns.
-    fn next_descent(&mut self) -> Descent {
+    fn next_descent(&mut self) -> CmaDescent {
         self.descents += 1;
         let best_paused = self.paused.iter().enumerate().min_by(|a, b| a.1.best.total_cmp(&b.1.best));
         if self.descents > 2
@@ -191,26 +191,26 @@ impl Auto {
             && let Some((index, _)) = best_paused
         {
             let paused = self.paused.swap_remove(index);
-            return Descent { evaluations: 0, fruitless: 0, ..paused };
+            return CmaDescent { evaluations: 0, generations_without_gain: 0, ..paused };
         }
         let population = (default_population(self.coarse.dimension()) / 2).max(MIN_POPULATION);
         let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
             (vec![0.5; self.coarse.dimension()], INITIAL_SIGMA)
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let among = self.good_points.len().min(STARTS);
+            let among = self.good_points.len().min(START_CANDIDATES);
             let chosen = self.good_points.swap_remove(self.random.random_range(0..among));
             (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
         };
-        Descent { run: Run::new(start, sigma, population), best: f64::INFINITY, evaluations: 0, fruitless: 0 }
+        CmaDescent { run: CmaRun::new(start, sigma, population), best: f64::INFINITY, evaluations: 0, generations_without_gain: 0 }
     }
 }
 
-impl Descent {
+impl CmaDescent {
     fn learn(&mut self, generation: &[f64]) {
         let least = generation.iter().copied().fold(f64::INFINITY, f64::min);
         let gained = self.best == f64::INFINITY || least < self.best - MIN_RELATIVE_GAIN * self.best.abs();
-        self.fruitless = if gained { 0 } else { self.fruitless + 1 };
+        self.generations_without_gain = if gained { 0 } else { self.generations_without_gain + 1 };
         self.best = if gained { least } else { self.best };
         self.evaluations += generation.len();
         self.run.tell(generation);
@@ -219,24 +219,24 @@ impl Descent {
 
 impl LeaderSearch {
     fn ask(&mut self, cube: &UnitCube) -> Vec<Vec<f64>> {
-        let [own, all] = self.spent;
-        if cube.leader().is_empty() || own * (1 + OTHER_EVALUATIONS_PER_LEADER_EVALUATION) > all {
+        let [own, all] = self.evaluations;
+        if cube.leader_coordinates().is_empty() || own * (1 + OTHER_EVALUATIONS_PER_LEADER_EVALUATION) > all {
             return Vec::new();
         }
         let asked = self.descent.as_mut().map(LeaderDescent::ask).unwrap_or_default();
         let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
         let Some((best, point)) = self.best.as_ref().filter(can_begin) else { return asked };
-        let has_fallen = self.begun_at.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
+        let has_fallen = self.started_at_value.is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
         if !has_fallen {
             return asked;
         }
-        self.begun_at = Some(*best);
+        self.started_at_value = Some(*best);
         self.descent.insert(LeaderDescent::new(cube, point.clone(), *best)).ask()
     }
 
     /// The values of what was asked for last.
     fn tell(&mut self, robustness: &[f64]) {
-        self.spent[0] += robustness.len();
+        self.evaluations[0] += robustness.len();
         if let Some(descent) = self.descent.as_mut().filter(|_| !robustness.is_empty()) {
             descent.tell(robustness);
         }
@@ -244,7 +244,7 @@ impl LeaderSearch {
 
     /// Any value.
     fn learn(&mut self, point: &[f64], value: f64) {
-        self.spent[1] += 1;
+        self.evaluations[1] += 1;
         if self.best.as_ref().is_none_or(|(best, _)| value < *best) {
             self.best = Some((value, point.to_vec()));
         }
@@ -253,23 +253,23 @@ impl LeaderSearch {
 
 impl Auto {
     fn add_surrogate_data(&mut self, point: &[f64], value: f64) {
-        self.known.push((self.cube.coarsen(&self.coarse, point), value));
-        self.known_ever += 1;
+        self.surrogate_data.push((self.cube.coarsen(&self.coarse, point), value));
+        self.surrogate_data_count += 1;
     }
 }
 
-impl Search for Auto {
+impl SearchAlgorithm for Auto {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
-        self.asked.clear();
-        self.known.drain(..self.known.len().saturating_sub(MAX_SURROGATE_POINTS));
-        self.surrogate = Surrogate::fit(&self.coarse, &self.known, self.known_ever, &mut self.metric);
+        self.pending.clear();
+        self.surrogate_data.drain(..self.surrogate_data.len().saturating_sub(MAX_SURROGATE_POINTS));
+        self.surrogate = Surrogate::fit(&self.coarse, &self.surrogate_data, self.surrogate_data_count, &mut self.metric_selection);
         if self.good_points.len() > 2 * MAX_GOOD_POINTS {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             self.good_points.truncate(MAX_GOOD_POINTS);
         }
         if self.good_points.len() + self.descents == 0 {
-            self.propose_batch(BatchPlan { screened: 0, simple: FIRST_POINTS, edges: 0 });
+            self.propose_batch(BatchPlan { screened: 0, simple: INITIAL_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
             self.propose_batch(EXPLORATION_PLAN);
         } else {
@@ -283,61 +283,61 @@ impl Search for Auto {
                 }
                 _ => descent.run.ask(&mut self.random),
             };
-            self.asked
+            self.pending
                 .extend(generation.into_iter().map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))));
             self.descent = Some(descent);
             self.propose_batch(PLAN_DURING_DESCENT);
         }
         // Not before the first descent has met its plateau: easy problems are decided by then.
         if self.descents > 1 || self.exploration_left > 0 {
-            self.asked.extend(self.lead.ask(&self.cube).into_iter().map(PortfolioProposal::Lead));
+            self.pending.extend(self.leader_search.ask(&self.cube).into_iter().map(PortfolioProposal::Leader));
         }
         let point = |asked: &PortfolioProposal| match asked {
             PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) => point.clone(),
-            PortfolioProposal::Descent(point) | PortfolioProposal::Lead(point) => point.clone(),
-            PortfolioProposal::PlateauBisection(segment) => segment.middle(),
+            PortfolioProposal::Descent(point) | PortfolioProposal::Leader(point) => point.clone(),
+            PortfolioProposal::PlateauBisection(segment) => segment.midpoint(),
             PortfolioProposal::Climb(proposal) => proposal.point.clone(),
         };
-        self.asked.iter().map(point).collect()
+        self.pending.iter().map(point).collect()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
         self.exploration_left = self.exploration_left.saturating_sub(robustness.len());
         let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
-        let asked = std::mem::take(&mut self.asked);
-        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
-            if let PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) | PortfolioProposal::Descent(point) | PortfolioProposal::Lead(point) = &asked {
-                self.lead.learn(point, value);
+        let asked = std::mem::take(&mut self.pending);
+        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| nan_as_infinity(value))) {
+            if let PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) | PortfolioProposal::Descent(point) | PortfolioProposal::Leader(point) = &asked {
+                self.leader_search.learn(point, value);
             }
             match asked {
                 PortfolioProposal::Screened(point) => {
-                    self.remember(&point, value);
+                    self.add_surrogate_data(&point, value);
                     self.good_points.push((value, point));
                 }
                 PortfolioProposal::Simple(point) => {
-                    self.remember(&point, value);
+                    self.add_surrogate_data(&point, value);
                     self.plateaus.add(point.clone(), value);
-                    self.climbs.start(point.clone(), value);
+                    self.climbs.add_start(point.clone(), value);
                     self.good_points.push((value, point));
                 }
                 PortfolioProposal::Descent(point) => {
-                    self.remember(&point, value);
+                    self.add_surrogate_data(&point, value);
                     generation.push(value);
                 }
-                PortfolioProposal::PlateauBisection(segment) => self.segments.extend(self.plateaus.halved(segment, value)),
+                PortfolioProposal::PlateauBisection(segment) => self.segments.extend(self.plateaus.halve(segment, value)),
                 PortfolioProposal::Climb(proposal) => self.climbs.tell(proposal, value),
-                PortfolioProposal::Lead(point) => {
+                PortfolioProposal::Leader(point) => {
                     of_lead.push(value);
-                    self.remember(&point, value);
+                    self.add_surrogate_data(&point, value);
                     self.good_points.push((value, point));
                 }
             }
         }
-        self.lead.tell(&of_lead);
+        self.leader_search.tell(&of_lead);
         if let Some(mut descent) = self.descent.take() {
             descent.learn(&generation);
             let stagnated = descent.run.has_stagnated();
-            if descent.fruitless < PATIENCE && !stagnated {
+            if descent.generations_without_gain < PATIENCE && !stagnated {
                 self.descent = Some(descent);
             } else {
                 self.exploration_left = self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;

@@ -1,7 +1,7 @@
 //! Many short climbs at once, the promising ones continued.
 
 use crate::falsify::UnitCube;
-use crate::falsify::simple_points::neighbour;
+use crate::falsify::simple_points::sample_neighbour;
 use crumple_world::random::Stream;
 
 /// Fruitless moves that weigh as much as one place in the ranking.
@@ -46,22 +46,22 @@ impl Climbs {
     /// A new start.
     pub(super) fn add_start(&mut self, point: Vec<f64>, value: f64) {
         let weights = vec![1.0; point.len()];
-        self.climbs.push(Climb { point, value, fruitless: 0, weights, last_gain: None, busy: false });
+        self.climbs.push(Climb { point, value, moves_without_gain: 0, weights, last_gain: None, has_pending_move: false });
     }
 
     /// Puts the climbs in order; call it once before a batch of moves, and never between a move and its value.
     pub(super) fn rank(&mut self) {
         self.climbs.sort_by(|a, b| a.value.total_cmp(&b.value));
-        self.climbs.truncate(KEPT);
-        self.climbs.iter_mut().for_each(|climb| climb.busy = false);
+        self.climbs.truncate(MAX_CLIMBS);
+        self.climbs.iter_mut().for_each(|climb| climb.has_pending_move = false);
     }
 
     /// The next move, of a climb that has none in this batch.
     pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
-        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.fruitless) / MOVES_PER_RANK;
-        let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.busy);
+        let cost = |(rank, climb): &(usize, &mut Climb)| *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK;
+        let free = self.climbs.iter_mut().enumerate().filter(|(_, climb)| !climb.has_pending_move);
         let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
-        climb.busy = true;
+        climb.has_pending_move = true;
         Some(ClimbMove { climb: index, point: climb.propose(cube, random)? })
     }
 
@@ -83,7 +83,7 @@ impl Climb {
                 return Some(point);
             }
         }
-        (0..100).find_map(|_| neighbour(cube, &self.point, &self.weights, random))
+        (0..100).find_map(|_| sample_neighbour(cube, &self.point, &self.weights, random))
     }
 
     fn learn(&mut self, point: Vec<f64>, value: f64) {
@@ -91,9 +91,9 @@ impl Climb {
         for (weight, _) in self.weights.iter_mut().zip(&change).filter(|(_, change)| **change != 0.0) {
             *weight = if value == self.value { (*weight * NEUTRAL_DECAY).max(MIN_WEIGHT) } else { 1.0 };
         }
-        self.fruitless += 1;
+        self.moves_without_gain += 1;
         if value < self.value {
-            self.fruitless = 0;
+            self.moves_without_gain = 0;
             self.last_gain = Some(change);
         }
         // Equals are taken, too: walking along a plateau costs nothing.

@@ -7,8 +7,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::method::rankable;
-use super::{UnitCube, Search};
+use super::method::nan_as_infinity;
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Largest population after restarts, as a multiple of the first one.
@@ -85,19 +85,19 @@ impl CmaEs {
         let population = default_population(dimension);
         Self {
             random: stream(seed, Purpose::Search, 0),
-            first_population: population,
+            initial_population: population,
             growth: 1,
             run: CmaRun::new(vec![0.5; dimension], INITIAL_SIGMA, population),
         }
     }
 }
 
-impl Search for CmaEs {
+impl SearchAlgorithm for CmaEs {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         if self.run.has_stagnated() {
             self.growth = (2 * self.growth).min(MAX_GROWTH);
             let start = self.run.mean.iter().map(|_| self.random.random()).collect();
-            self.run = CmaRun::new(start, INITIAL_SIGMA, self.first_population * self.growth);
+            self.run = CmaRun::new(start, INITIAL_SIGMA, self.initial_population * self.growth);
         }
         self.run.ask(&mut self.random)
     }
@@ -117,23 +117,23 @@ impl CmaRun {
         let n = start.len();
         Self {
             population,
-            asked: Vec::new(),
+            pending: Vec::new(),
             mean: DVector::from_vec(start),
             sigma,
-            first_sigma: sigma,
+            initial_sigma: sigma,
             covariance: DMatrix::identity(n, n),
             axes: DMatrix::identity(n, n),
             lengths: DVector::from_element(n, 1.0),
             path_sigma: DVector::zeros(n),
             path_covariance: DVector::zeros(n),
             generation: 0,
-            best_of_recent: Vec::new(),
+            recent_best_values: Vec::new(),
         }
     }
 
     pub(super) fn ask(&mut self, random: &mut Stream) -> Vec<Vec<f64>> {
-        self.asked = (0..self.population).map(|_| self.sample(random)).collect();
-        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+        self.pending = (0..self.population).map(|_| self.sample(random)).collect();
+        self.pending.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
     /// Points like those of [`CmaRun::ask`], but each the best of `among` by `score`.
@@ -149,8 +149,8 @@ impl CmaRun {
             .collect();
         candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
         candidates.truncate(self.population);
-        self.asked = candidates.into_iter().map(|(_, point)| point).collect();
-        self.asked.iter().map(|point| point.iter().copied().collect()).collect()
+        self.pending = candidates.into_iter().map(|(_, point)| point).collect();
+        self.pending.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
     pub(super) fn tell(&mut self, robustness: &[f64]) {
@@ -158,9 +158,9 @@ impl CmaRun {
         if robustness.len() < self.population {
             return;
         }
-        let asked = std::mem::take(&mut self.asked);
+        let asked = std::mem::take(&mut self.pending);
         let mut ranked: Vec<(f64, &DVector<f64>)> =
-            robustness.iter().map(|&value| rankable(value)).zip(&asked).collect();
+            robustness.iter().map(|&value| nan_as_infinity(value)).zip(&asked).collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.learn(&ranked);
     }
@@ -206,7 +206,7 @@ impl CmaRun {
         let eigen = SymmetricEigen::new(self.covariance.clone());
         self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
         self.axes = eigen.eigenvectors;
-        self.best_of_recent.extend(ranked.first().map(|(value, _)| *value));
+        self.recent_best_values.extend(ranked.first().map(|(value, _)| *value));
         // Equal best and median: the population sits on a plateau; wider steps may leave it.
         if ranked.first().map(|r| r.0) == ranked.get(self.population / 2).map(|r| r.0) {
             self.sigma *= (0.2 + c_sigma / d_sigma).exp();
@@ -223,10 +223,10 @@ impl CmaRun {
         let spread = self.spread();
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);
         let window = 10 + 30 * self.mean.len() / self.population;
-        let recent = self.best_of_recent.iter().rev().take(window);
+        let recent = self.recent_best_values.iter().rev().take(window);
         let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
-        let flat = self.best_of_recent.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
-        let lost = !spread.is_finite() || !least.is_finite() && self.best_of_recent.len() >= window;
-        spread < 1e-12 * self.first_sigma || spread > 1e4 || condition > MAX_CONDITION_NUMBER || flat || lost
+        let flat = self.recent_best_values.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
+        let lost = !spread.is_finite() || !least.is_finite() && self.recent_best_values.len() >= window;
+        spread < 1e-12 * self.initial_sigma || spread > 1e4 || condition > MAX_CONDITION_NUMBER || flat || lost
     }
 }

@@ -6,8 +6,8 @@
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::method::rankable;
-use super::{UnitCube, Search};
+use super::method::nan_as_infinity;
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const POPULATION: usize = 60;
@@ -36,12 +36,12 @@ impl CrossEntropy {
             mean: vec![0.5; dimension],
             deviation: vec![0.5; dimension],
             generation: 0.0,
-            asked: Vec::new(),
+            pending: Vec::new(),
         }
     }
 }
 
-impl Search for CrossEntropy {
+impl SearchAlgorithm for CrossEntropy {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         if self.deviation.iter().all(|&deviation| deviation < MIN_DEVIATION) {
             self.mean.iter_mut().for_each(|mean| *mean = self.random.random());
@@ -53,8 +53,8 @@ impl Search for CrossEntropy {
             let spread = self.mean.iter().zip(&self.deviation);
             spread.map(|(mean, deviation)| (mean + deviation * normal(&mut self.random)).clamp(0.0, 1.0)).collect()
         };
-        self.asked = (0..POPULATION).map(|_| point()).collect();
-        self.asked.clone()
+        self.pending = (0..POPULATION).map(|_| point()).collect();
+        self.pending.clone()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
@@ -62,7 +62,7 @@ impl Search for CrossEntropy {
             return;
         }
         let mut ranked: Vec<(f64, &Vec<f64>)> =
-            robustness.iter().map(|&value| rankable(value)).zip(&self.asked).collect();
+            robustness.iter().map(|&value| nan_as_infinity(value)).zip(&self.pending).collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         ranked.truncate(ELITE_SIZE);
         self.generation += 1.0;

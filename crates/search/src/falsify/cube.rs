@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 
 /// The unit cube, with its coordinates in blocks: a block of one is a number by itself, a longer one a piecewise constant
 /// signal, piece after piece in time.
@@ -25,10 +25,10 @@ impl UnitCube {
     ///
     /// # Errors
     /// None: a space has at least one parameter, and each has a coordinate.
-    pub fn from_space(space: &Space) -> Result<Self, EmptyBlock> {
+    pub fn from_space(space: &ScenarioSpace) -> Result<Self, EmptyBlock> {
         let cube = Self::new(space.parameters().iter().map(|parameter| parameter.coordinates().len()))?;
         let of_leader = space.parameters().iter().filter(|parameter| parameter.is_leader_script());
-        Ok(cube.with_leader(of_leader.flat_map(|parameter| parameter.coordinates())))
+        Ok(cube.with_leader_coordinates(of_leader.flat_map(|parameter| parameter.coordinates())))
     }
 
     /// A cube of blocks with these numbers of coordinates.
@@ -45,7 +45,7 @@ impl UnitCube {
             blocks.push(start..start + length);
             start += length;
         }
-        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader: Vec::new() }) }
+        if blocks.is_empty() { Err(EmptyBlock) } else { Ok(Self { blocks, leader_coordinates: Vec::new() }) }
     }
 
     /// The number of coordinates, at least one.
@@ -64,14 +64,14 @@ impl UnitCube {
     /// the cube are left out.
     #[must_use]
     pub fn with_leader_coordinates(mut self, coordinates: impl IntoIterator<Item = usize>) -> Self {
-        self.leader = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
+        self.leader_coordinates = coordinates.into_iter().filter(|&coordinate| coordinate < self.dimension()).collect();
         self
     }
 
     /// The coordinates that say how a scripted leader drives; none where the problem has no leader.
     #[must_use]
     pub fn leader_coordinates(&self) -> &[usize] {
-        &self.leader
+        &self.leader_coordinates
     }
 
     /// A cube whose blocks have at most `pieces` coordinates each: signals of fewer pieces.
@@ -83,7 +83,7 @@ impl UnitCube {
             start += length;
             start - length..start
         });
-        Self { blocks: blocks.collect(), leader: Vec::new() }
+        Self { blocks: blocks.collect(), leader_coordinates: Vec::new() }
     }
 
     /// A point of the coarse cube as one of this cube: every piece takes the value of the coarse piece it begins in.

@@ -20,7 +20,7 @@ pub(super) struct Evaluator<'a> {
 impl Evaluator<'_> {
     /// How a scenario is run with its step in so many parts, up to a contact.
     pub(super) fn run_options(&self, scenario: &Scenario, parts: u32) -> RunOptions {
-        options(self.controller, self.estimator, scenario, parts)
+        run_options(self.controller, self.estimator, scenario, parts)
     }
 
     /// The verdict with the scenario's step in so many parts.
@@ -31,28 +31,28 @@ impl Evaluator<'_> {
 
     /// The same of many, which are run together.
     pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
-        let own = self.driven_by(self.controller, asked);
-        let Some(contrast) = self.contrast else { return own };
+        let own = self.evaluate_with(self.controller, asked);
+        let Some(contrast) = self.failure_criterion else { return own };
         let partners: Vec<Option<Scenario>> = asked.iter().map(|(scenario, _)| contrast.partner(scenario)).collect();
         let there: Vec<(&Scenario, u32)> =
             partners.iter().zip(asked).filter_map(|(partner, (_, parts))| Some((partner.as_ref()?, *parts))).collect();
-        let mut beside = self.driven_by(contrast.driver(self.controller), &there).into_iter();
+        let mut beside = self.evaluate_with(contrast.partner_controller(self.controller), &there).into_iter();
         let pairs = own.into_iter().zip(&partners);
         pairs
             .map(|(own, partner)| {
                 let beside = partner.as_ref().and_then(|_| beside.next()).transpose();
-                Ok(FailureCriterion::verdict(own?, beside?))
+                Ok(FailureCriterion::combine_verdicts(own?, beside?))
             })
             .collect()
     }
 
     /// Why the controller of the run that a scenario is set against gives no answer there; none if it gives one.
     pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
-        let contrast = self.contrast?;
+        let contrast = self.failure_criterion?;
         let partner = contrast.partner(scenario)?;
-        let options = options(contrast.driver(self.controller), self.estimator, &partner, 1);
+        let options = run_options(contrast.partner_controller(self.controller), self.estimator, &partner, 1);
         let run = Run::new(&partner, options.with_after_contact(self.specification.after_contact())).ok()?;
-        simulate(&run, RecordingLevel::Summary).outcome.failed().map(FailedController::because)
+        simulate(&run, RecordingLevel::Summary).outcome.failed_controller().map(FailedController::reason)
     }
 
     fn evaluate_with(
@@ -61,7 +61,7 @@ impl Evaluator<'_> {
         asked: &[(&Scenario, u32)],
     ) -> Vec<Result<RunVerdict, SpecificationError>> {
         let prepared = asked.iter().map(|(scenario, parts)| {
-            let options = options(controller, self.estimator, scenario, *parts);
+            let options = run_options(controller, self.estimator, scenario, *parts);
             Run::new(scenario, options.with_after_contact(self.specification.after_contact()))
         });
         let (mut runs, mut refused) = (Vec::new(), Vec::new());
@@ -72,7 +72,7 @@ impl Evaluator<'_> {
             }
         }
         let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> =
-            simulate_batch(&runs, self.specification.keep(), |index, result| match runs.get(index) {
+            simulate_batch(&runs, self.specification.recording_level(), |index, result| match runs.get(index) {
                 Some(run) => self.specification.judge(run, &result),
                 None => Err(SpecificationError::NoTrace),
             });

@@ -106,7 +106,7 @@ impl FailureCriterion {
     /// The partner's scenario; none if there can be none.
     pub(super) fn partner(&self, scenario: &Scenario) -> Option<Scenario> {
         match self {
-            Self::Against(_) => Some(scenario.clone()),
+            Self::Differential(_) => Some(scenario.clone()),
             Self::Metamorphic(relation) => relation.partner(scenario),
         }
     }
@@ -114,7 +114,7 @@ impl FailureCriterion {
     /// Who drives in it, where `own` is under test.
     pub(super) fn partner_controller<'a>(&'a self, own: &'a NamedController) -> &'a NamedController {
         match self {
-            Self::Against(other) => other,
+            Self::Differential(other) => other,
             Self::Metamorphic(_) => own,
         }
     }
@@ -123,7 +123,7 @@ impl FailureCriterion {
     pub(super) fn is_self_comparison(&self, own: &NamedController) -> bool {
         let digest = |controller: &NamedController| controller.policy().map(|policy| policy.digest());
         match self {
-            Self::Against(other) => {
+            Self::Differential(other) => {
                 let is_named_alike =
                     other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
                 is_named_alike && digest(other) == digest(own)
@@ -135,7 +135,7 @@ impl FailureCriterion {
     /// What a file says of it.
     pub(super) fn to_record(&self) -> FailureCriterionRecord {
         match self {
-            Self::Against(other) => FailureCriterionRecord::Against {
+            Self::Differential(other) => FailureCriterionRecord::Differential {
                 controller: other.name.clone(),
                 policy_sha256: other.policy().map(|policy| policy.digest()),
                 controller_sha256: other.disambiguating_hash(),
@@ -147,8 +147,8 @@ impl FailureCriterion {
     /// Beside the partner's verdict; none if it has no partner, so that nothing can be said. Nor can anything where the partner's controller
     /// gave no answer: when is then in `failed`, beside a robustness that is not negative.
     pub(super) fn combine_verdicts(own: RunVerdict, partner: Option<RunVerdict>) -> RunVerdict {
-        if let Some(failed) = partner.and_then(|partner| partner.failed) {
-            return RunVerdict { failed: Some(failed), ..RunVerdict::new(f64::INFINITY) };
+        if let Some(failed) = partner.and_then(|partner| partner.failure) {
+            return RunVerdict { failure: Some(failed), ..RunVerdict::new(f64::INFINITY) };
         }
         let robustness = match partner.map(|partner| partner.robustness) {
             None => f64::INFINITY,
@@ -187,7 +187,7 @@ impl FailureCriterionRecord {
     /// [`UnknownController`] if there is no such controller.
     pub(super) fn resolve(&self, folder: &Path) -> Result<FailureCriterion, UnknownController> {
         Ok(match self {
-            Self::Against { controller, .. } => FailureCriterion::Against(NamedController::find(controller, folder)?),
+            Self::Differential { controller, .. } => FailureCriterion::Differential(NamedController::find(controller, folder)?),
             Self::Metamorphic(relation) => FailureCriterion::Metamorphic(*relation),
         })
     }
@@ -196,7 +196,7 @@ impl FailureCriterionRecord {
     #[must_use]
     pub(crate) fn describe(&self) -> String {
         match self {
-            Self::Against { controller, .. } => format!("where `{controller}` holds"),
+            Self::Differential { controller, .. } => format!("where `{controller}` holds"),
             Self::Metamorphic(relation) => format!("that do not occur {}", relation.describe_partner()),
         }
     }

@@ -2,7 +2,7 @@
 
 use rand::seq::SliceRandom;
 
-use super::{UnitCube, Search};
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, stream};
 
 const BATCH_SIZE: usize = 32;
@@ -34,14 +34,14 @@ impl Coordinate {
             digits.shuffle(&mut random);
             digits
         });
-        Self { base, digits: digits.collect() }
+        Self { base, digit_permutations: digits.collect() }
     }
 
     /// The radical inverse of `index`: its digits, permuted and mirrored at the point.
     fn radical_inverse(&self, mut index: u64) -> f64 {
         let mut weight = 1.0;
         let mut value = 0.0;
-        for permutation in &self.digits {
+        for permutation in &self.digit_permutations {
             weight /= self.base as f64;
             let digit = permutation.get((index % self.base) as usize).copied().unwrap_or(0);
             value += digit as f64 * weight;
@@ -67,11 +67,11 @@ fn primes() -> impl Iterator<Item = u64> {
     (2..).filter(|n| (2..).take_while(|d| d * d <= *n).all(|d| n % d != 0))
 }
 
-impl Search for Halton {
+impl SearchAlgorithm for Halton {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        let indices = self.next..self.next + BATCH as u64;
+        let indices = self.next..self.next + BATCH_SIZE as u64;
         self.next = indices.end;
-        indices.map(|index| self.coordinates.iter().map(|coordinate| coordinate.at(index)).collect()).collect()
+        indices.map(|index| self.coordinates.iter().map(|coordinate| coordinate.radical_inverse(index)).collect()).collect()
     }
 
     fn tell(&mut self, _robustness: &[f64]) {}

@@ -13,8 +13,8 @@ use super::cross_entropy::CrossEntropy;
 use super::cube::UnitCube;
 use super::halton::Halton;
 use super::sequential::Sequential;
-use super::signals::Signals;
-use super::uniform::Uniform;
+use super::signals::SignalSearch;
+use super::uniform::UniformSearch;
 use crumple_world::random::derived_seed;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] puts an implementation into a campaign.
@@ -203,8 +203,8 @@ impl Method {
     #[must_use]
     pub fn start_after(&self, points: u64, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
-            Self::Uniform => Box::new(Uniform::new(cube, seed).after(points)),
-            Self::Halton => Box::new(Halton::new(cube, seed).after(points)),
+            Self::Uniform => Box::new(UniformSearch::new(cube, seed).skip_points(points)),
+            Self::Halton => Box::new(Halton::new(cube, seed).skip_points(points)),
             _ if points == 0 => self.start(cube, seed),
             _ => self.start(cube, derived_seed(seed, points)),
         }
@@ -214,12 +214,12 @@ impl Method {
     #[must_use]
     pub fn start(&self, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
         match self {
-            Self::Uniform => Box::new(Uniform::new(cube, seed)),
+            Self::Uniform => Box::new(UniformSearch::new(cube, seed)),
             Self::Halton => Box::new(Halton::new(cube, seed)),
             Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
             Self::Annealing => Box::new(Annealing::new(cube, seed)),
-            Self::Signals => Box::new(Signals::new(cube, seed)),
+            Self::Signals => Box::new(SignalSearch::new(cube, seed)),
             Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
             Self::Custom(custom) => (custom.start)(cube, seed),

@@ -35,6 +35,6 @@ mod signals;
 mod surrogate;
 mod uniform;
 
-pub use failure_criterion::{FailureCriterion, FailureCriterionRecord, Relation, UnknownRelation};
+pub use failure_criterion::{FailureCriterion, FailureCriterionRecord, MetamorphicRelation, UnknownRelation};
 pub use cube::{UnitCube, EmptyBlock};
-pub use method::{CustomMethod, InvalidMethodName, Method, Search, UnknownMethod};
+pub use method::{CustomMethod, InvalidMethodName, Method, SearchAlgorithm, UnknownMethod};

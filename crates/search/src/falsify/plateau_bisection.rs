@@ -52,53 +52,53 @@ pub(super) struct Segment {
 impl Plateaus {
     pub(super) fn add(&mut self, point: Vec<f64>, value: f64) {
         let index = self.points.len();
-        if index == MOST_POINTS {
+        if index == MAX_POINTS {
             return;
         }
         self.points.push((point, value));
-        match self.first_with.entry(value.to_bits()) {
+        match self.first_by_value.entry(value.to_bits()) {
             Entry::Vacant(free) => {
                 free.insert(index);
-                self.rest.push(index);
+                self.other_points.push(index);
             }
             Entry::Occupied(first) => {
-                if let Ok(place) = self.rest.binary_search(first.get()) {
-                    self.rest.remove(place);
-                    let place = self.flat.partition_point(|known| known < first.get());
-                    self.flat.insert(place, *first.get());
+                if let Ok(place) = self.other_points.binary_search(first.get()) {
+                    self.other_points.remove(place);
+                    let place = self.plateau_points.partition_point(|known| known < first.get());
+                    self.plateau_points.insert(place, *first.get());
                 }
-                self.flat.push(index);
+                self.plateau_points.push(index);
             }
         }
     }
 
     /// A segment from a plateau to a near point outside that there has not been yet, if there are both.
     pub(super) fn next_segment(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<Segment> {
-        if self.flat.is_empty() || self.rest.is_empty() {
+        if self.plateau_points.is_empty() || self.other_points.is_empty() {
             return None;
         }
-        let from = *self.flat.get(random.random_range(0..self.flat.len()))?;
+        let from = *self.plateau_points.get(random.random_range(0..self.plateau_points.len()))?;
         let (inside, plateau) = self.points.get(from)?;
         let (_, to, outside, outside_value) = (0..NEIGHBOUR_CANDIDATES)
-            .filter_map(|_| self.rest.get(random.random_range(0..self.rest.len())).copied())
-            .filter(|to| !self.halved.contains(&(from, *to)))
+            .filter_map(|_| self.other_points.get(random.random_range(0..self.other_points.len())).copied())
+            .filter(|to| !self.used_segments.contains(&(from, *to)))
             .filter_map(|to| {
                 self.points.get(to).map(|(point, value)| (cube.distance(inside, point), to, point, *value))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        self.halved.insert((from, to));
+        self.used_segments.insert((from, to));
         let (inside, outside) = (inside.clone(), outside.clone());
-        Some(Segment { plateau: *plateau, inside, outside, outside_value, halvings: 0 })
+        Some(Segment { plateau_value: *plateau, inside, outside, outside_value, halvings: 0 })
     }
 
     /// The half of a segment that holds the edge, given the value half-way. None if it is short enough, or if the value beyond
     /// the edge is worse than that of half of the segments so far: another edge is the better bet then.
     pub(super) fn halve(&mut self, segment: Segment, value: f64) -> Option<Segment> {
-        let half = segment.halved(value)?;
+        let half = segment.halve(value)?;
         if half.halvings == PRUNING_HALVINGS {
-            let better = self.judged.partition_point(|known| *known < half.outside_value);
-            self.judged.insert(better, half.outside_value);
-            if 2 * better > self.judged.len() {
+            let better = self.edge_values.partition_point(|known| *known < half.outside_value);
+            self.edge_values.insert(better, half.outside_value);
+            if 2 * better > self.edge_values.len() {
                 return None;
             }
         }
@@ -114,14 +114,14 @@ impl Segment {
 
     /// The half that holds the edge, unless it is short enough.
     fn halve(mut self, value: f64) -> Option<Self> {
-        let middle = self.middle();
-        if value == self.plateau {
+        let middle = self.midpoint();
+        if value == self.plateau_value {
             self.inside = middle;
         } else {
             (self.outside, self.outside_value) = (middle, value);
         }
         self.halvings += 1;
-        (self.halvings < HALVINGS).then_some(self)
+        (self.halvings < MAX_HALVINGS).then_some(self)
     }
 }
 

@@ -5,36 +5,36 @@
 //! worse by the same steps (`worst_case::Descent`). Every finite difference and every step is a point that is asked for, so
 //! that it counts as the evaluation it is, and a search that is resumed takes the same steps.
 
-use super::method::rankable;
+use super::method::nan_as_infinity;
 use super::simple_points::sample_simple_point;
-use super::{UnitCube, Search};
-use crate::worst_case::{Descent, Limits, Pace};
+use super::{UnitCube, SearchAlgorithm};
+use crate::worst_case::{TrustRegionDescent, VariableBounds, StepSchedule};
 use crumple_world::random::{Purpose, Stream, stream};
 
 /// Change of a coordinate for a finite difference, and the trust region at first and where a descent gives up, as shares of
 /// the ranges.
-const STEP_SCHEDULE: Pace = Pace { nudge: 0.01, region: [0.25, 0.02] };
+const STEP_SCHEDULE: StepSchedule = StepSchedule { finite_difference: 0.01, trust_region: [0.25, 0.02] };
 
 /// A descent over the script of the leader, its circumstances held; then over everything.
 #[derive(Debug)]
 pub(super) struct LeaderDescent {
     point: Vec<f64>,
     coordinates: Vec<usize>,
-    descent: Descent,
+    descent: TrustRegionDescent,
     is_joint: bool,
 }
 
 impl LeaderDescent {
     /// From a point and the robustness there. In a cube without a leader every coordinate varies.
     pub(super) fn new(cube: &UnitCube, point: Vec<f64>, robustness: f64) -> Self {
-        let is_joint = cube.leader().is_empty();
-        let coordinates = if is_joint { (0..cube.dimension()).collect() } else { cube.leader().to_vec() };
-        Self::over(coordinates, point, robustness, is_joint)
+        let is_joint = cube.leader_coordinates().is_empty();
+        let coordinates = if is_joint { (0..cube.dimension()).collect() } else { cube.leader_coordinates().to_vec() };
+        Self::with_coordinates(coordinates, point, robustness, is_joint)
     }
 
     fn with_coordinates(coordinates: Vec<usize>, point: Vec<f64>, robustness: f64, is_joint: bool) -> Self {
         let at = coordinates.iter().filter_map(|&coordinate| point.get(coordinate).copied()).collect();
-        let descent = Descent::new(Limits { low: 0.0, high: 1.0 }, STEP_SCHEDULE, at, robustness);
+        let descent = TrustRegionDescent::new(VariableBounds { low: 0.0, high: 1.0 }, STEP_SCHEDULE, at, robustness);
         Self { point, coordinates, descent, is_joint }
     }
 
@@ -42,11 +42,11 @@ impl LeaderDescent {
     pub(super) fn ask(&mut self) -> Vec<Vec<f64>> {
         let mut asked = self.descent.ask();
         if asked.is_empty() && !self.is_joint {
-            let (point, robustness) = (self.whole(self.descent.at()), self.descent.value());
-            *self = Self::over((0..point.len()).collect(), point, robustness, true);
+            let (point, robustness) = (self.full_point(self.descent.point()), self.descent.value());
+            *self = Self::with_coordinates((0..point.len()).collect(), point, robustness, true);
             asked = self.descent.ask();
         }
-        asked.iter().map(|at| self.whole(at)).collect()
+        asked.iter().map(|at| self.full_point(at)).collect()
     }
 
     /// The robustness of what was asked for last.
@@ -84,13 +84,13 @@ pub(super) struct Sequential {
 impl Sequential {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let random = stream(seed, Purpose::Search, 0);
-        Self { cube: cube.clone(), random, starts: Vec::new(), descent: None, explored: Vec::new() }
+        Self { cube: cube.clone(), random, starts: Vec::new(), descent: None, exploration_points: Vec::new() }
     }
 }
 
-impl Search for Sequential {
+impl SearchAlgorithm for Sequential {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        self.explored.clear();
+        self.exploration_points.clear();
         if let Some(descent) = &mut self.descent {
             let asked = descent.ask();
             if !asked.is_empty() {
@@ -98,18 +98,18 @@ impl Search for Sequential {
             }
             self.descent = None;
         }
-        self.explored = (0..EXPLORATION_POINTS).map(|_| sample_simple_point(&self.cube, &mut self.random)).collect();
-        self.explored.clone()
+        self.exploration_points = (0..EXPLORATION_POINTS).map(|_| sample_simple_point(&self.cube, &mut self.random)).collect();
+        self.exploration_points.clone()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
-        let robustness: Vec<f64> = robustness.iter().map(|&value| rankable(value)).collect();
+        let robustness: Vec<f64> = robustness.iter().map(|&value| nan_as_infinity(value)).collect();
         if let Some(descent) = &mut self.descent {
             return descent.tell(&robustness);
         }
-        self.starts.extend(robustness.into_iter().zip(std::mem::take(&mut self.explored)));
+        self.starts.extend(robustness.into_iter().zip(std::mem::take(&mut self.exploration_points)));
         self.starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-        self.starts.truncate(MOST_STARTS);
+        self.starts.truncate(MAX_STARTS);
         if !self.starts.is_empty() {
             let (robustness, point) = self.starts.remove(0);
             self.descent = Some(LeaderDescent::new(&self.cube, point, robustness));

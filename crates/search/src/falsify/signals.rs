@@ -2,10 +2,10 @@
 
 use rand::RngExt;
 
-use super::climb::{Climbs, Move};
-use super::method::rankable;
+use super::climb::{Climbs, ClimbMove};
+use super::method::nan_as_infinity;
 use super::simple_points::sample_simple_point;
-use super::{UnitCube, Search};
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 8;
@@ -27,43 +27,43 @@ pub(super) struct SignalSearch {
 #[derive(Debug)]
 enum SignalProposal {
     Start(Vec<f64>),
-    Move(Move),
+    Move(ClimbMove),
 }
 
 impl SignalSearch {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         let random = stream(seed, Purpose::Search, 0);
-        Self { cube: cube.clone(), random, climbs: Climbs::default(), starts: 0, asked: Vec::new() }
+        Self { cube: cube.clone(), random, climbs: Climbs::default(), start_count: 0, pending: Vec::new() }
     }
 
     fn propose(&mut self) -> SignalProposal {
-        if self.starts >= FIRST_POINTS
+        if self.start_count >= INITIAL_POINTS
             && !self.random.random_bool(SIMPLE_SHARE)
-            && let Some(proposal) = self.climbs.next(&self.cube, &mut self.random)
+            && let Some(proposal) = self.climbs.propose(&self.cube, &mut self.random)
         {
             return SignalProposal::Move(proposal);
         }
-        self.starts += 1;
+        self.start_count += 1;
         SignalProposal::Start(sample_simple_point(&self.cube, &mut self.random))
     }
 }
 
-impl Search for SignalSearch {
+impl SearchAlgorithm for SignalSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         self.climbs.rank();
-        self.asked = (0..BATCH).map(|_| self.next()).collect();
+        self.pending = (0..BATCH_SIZE).map(|_| self.propose()).collect();
         let point = |asked: &SignalProposal| match asked {
             SignalProposal::Start(point) => point.clone(),
             SignalProposal::Move(proposal) => proposal.point.clone(),
         };
-        self.asked.iter().map(point).collect()
+        self.pending.iter().map(point).collect()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
-        let asked = std::mem::take(&mut self.asked);
-        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| rankable(value))) {
+        let asked = std::mem::take(&mut self.pending);
+        for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| nan_as_infinity(value))) {
             match asked {
-                SignalProposal::Start(point) => self.climbs.start(point, value),
+                SignalProposal::Start(point) => self.climbs.add_start(point, value),
                 SignalProposal::Move(proposal) => self.climbs.tell(proposal, value),
             }
         }

@@ -22,14 +22,14 @@ pub(super) fn sample_simple_point(cube: &UnitCube, random: &mut Stream) -> Vec<f
     let extreme = random.random_range(EXTREME_SHARE);
     let mut point = Vec::with_capacity(cube.dimension());
     for block in cube.blocks() {
-        let allowed = PIECES.iter().take_while(|&&pieces| pieces <= block.len()).count();
-        let pieces = PIECES.get(random.random_range(0..allowed.max(1))).copied().unwrap_or(1);
+        let allowed = PIECE_COUNTS.iter().take_while(|&&pieces| pieces <= block.len()).count();
+        let pieces = PIECE_COUNTS.get(random.random_range(0..allowed.max(1))).copied().unwrap_or(1);
         let switches = rand::seq::index::sample(random, block.len() - 1, pieces - 1);
-        let mut current = value(extreme, random);
+        let mut current = sample_value(extreme, random);
         point.push(current);
         for piece in 0..block.len() - 1 {
             if switches.iter().any(|switch| switch == piece) {
-                current = value(extreme, random);
+                current = sample_value(extreme, random);
             }
             point.push(current);
         }
@@ -69,11 +69,11 @@ pub(super) fn sample_neighbour(cube: &UnitCube, point: &[f64], weights: &[f64], 
     let reach = if random.random_bool(0.3) { random.random_range(1..=3) } else { 1 };
     let (range, new) = match random.random_range(0..20) {
         0..10 => {
-            let step = STEPS.start * (STEPS.end / STEPS.start).powf(random.random());
+            let step = STEP_DEVIATION.start * (STEP_DEVIATION.end / STEP_DEVIATION.start).powf(random.random());
             let change: f64 = StandardNormal.sample(random);
             (piece, (own + step * change).clamp(0.0, 1.0))
         }
-        10..13 => (piece, value(0.5, random)),
+        10..13 => (piece, sample_value(0.5, random)),
         // Borders, in either direction.
         13 => (piece.start.saturating_sub(reach).max(block.start)..piece.start, own),
         14 => (piece.start..(piece.start + reach).min(piece.end), before?),
@@ -81,8 +81,8 @@ pub(super) fn sample_neighbour(cube: &UnitCube, point: &[f64], weights: &[f64], 
         16 => (piece.end.saturating_sub(reach).max(piece.start)..piece.end, after?),
         17 => (piece, if random.random() { before? } else { after? }),
         // A cut, with a new value for the rest of the piece or, as a late decision, for the rest of the signal.
-        18 => (if random.random() { piece.start..index + 1 } else { index..piece.end }, value(0.5, random)),
-        _ => (index..block.end, value(0.5, random)),
+        18 => (if random.random() { piece.start..index + 1 } else { index..piece.end }, sample_value(0.5, random)),
+        _ => (index..block.end, sample_value(0.5, random)),
     };
     let mut changed = point.to_vec();
     changed.get_mut(range)?.fill(new);

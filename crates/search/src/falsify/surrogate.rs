@@ -59,7 +59,7 @@ const MIN_LENGTH_SCALE: f64 = 0.15;
 
 impl Default for Metric {
     fn default() -> Self {
-        Self { reading: SignalFeature::Both, horizon: 0, length: 2 }
+        Self { signal_feature: SignalFeature::Both, horizon: 0, length_exponent: 2 }
     }
 }
 
@@ -67,14 +67,14 @@ impl Metric {
     /// All that differ in a cube: without signals, only the length counts.
     fn candidates(cube: &UnitCube) -> impl Iterator<Item = Self> {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
-        let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZONS) } else { (1, 1) };
+        let (readings, horizons) = if signals { (SIGNAL_FEATURES.len(), HORIZON_COUNT) } else { (1, 1) };
         SIGNAL_FEATURES.into_iter().take(readings).flat_map(move |reading| {
-            (0..horizons).flat_map(move |horizon| (0..LENGTH_COUNT).map(move |length| Self { reading, horizon, length }))
+            (0..horizons).flat_map(move |horizon| (0..LENGTH_COUNT).map(move |length| Self { signal_feature: reading, horizon, length_exponent: length }))
         })
     }
 
     fn length_scale(self, cube: &UnitCube) -> f64 {
-        MIN_LENGTH_SCALE * 1.6_f64.powi(self.length) * (cube.blocks().len() as f64).sqrt()
+        MIN_LENGTH_SCALE * 1.6_f64.powi(self.length_exponent) * (cube.blocks().len() as f64).sqrt()
     }
 
     /// Coordinates whose Euclidean distance is that of the metric; every block weighs as much as a number.
@@ -84,10 +84,10 @@ impl Metric {
             let share = if block.len() == 1 { 1.0 } else { 0.5_f64.powf(0.5 * f64::from(self.horizon)) };
             let pieces = (block.len() as f64 * share).ceil();
             let values = point.get(block.clone()).unwrap_or_default().iter().take(pieces as usize);
-            if self.reading != SignalFeature::Integral || block.len() == 1 {
+            if self.signal_feature != SignalFeature::Integral || block.len() == 1 {
                 features.extend(values.clone().map(|value| value / pieces.sqrt()));
             }
-            if self.reading != SignalFeature::Values && block.len() > 1 {
+            if self.signal_feature != SignalFeature::Values && block.len() > 1 {
                 let mut integral = 0.0;
                 features.extend(values.map(|value| {
                     integral += value / pieces;
@@ -108,7 +108,7 @@ impl Surrogate {
         }
         let scores = DVector::from_vec(scores(data));
         if known as f64 >= RESELECTION_GROWTH * chosen.points as f64 {
-            let metrics: Vec<Metric> = Metric::all(cube).collect();
+            let metrics: Vec<Metric> = Metric::candidates(cube).collect();
             // Each fit is made alone, and the choice among them in their order: threads change nothing.
             let fits = metrics.into_par_iter().map(|metric| Self::fit_with_metric(cube, data, &scores, metric));
             let fits: Vec<_> = fits.collect();
@@ -127,7 +127,7 @@ impl Surrogate {
         scores: &DVector<f64>,
         metric: Metric,
     ) -> Option<(f64, Self)> {
-        let length = metric.length(cube);
+        let length = metric.length_scale(cube);
         let features: Vec<Vec<f64>> = data.iter().map(|(point, _)| metric.features(cube, point)).collect();
         let n = features.len();
         // The factorisation reads the lower triangle only.
@@ -145,7 +145,7 @@ impl Surrogate {
 
     /// The expected score of a point: lower is better.
     pub(super) fn score(&self, point: &[f64]) -> f64 {
-        let (own, length) = (self.metric.features(&self.cube, point), self.metric.length(&self.cube));
+        let (own, length) = (self.metric.features(&self.cube, point), self.metric.length_scale(&self.cube));
         let near = self.features.iter().map(|known| matern(square_distance(known, &own), length));
         near.zip(self.weights.iter()).map(|(kernel, weight)| kernel * weight).sum()
     }

@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use super::{UnitCube, Search};
+use super::{UnitCube, SearchAlgorithm};
 use crumple_world::random::{Purpose, Stream, stream};
 
 const BATCH_SIZE: usize = 32;
@@ -30,9 +30,9 @@ impl UniformSearch {
     }
 }
 
-impl Search for UniformSearch {
+impl SearchAlgorithm for UniformSearch {
     fn ask(&mut self) -> Vec<Vec<f64>> {
-        (0..BATCH).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
+        (0..BATCH_SIZE).map(|_| (0..self.dimension).map(|_| self.random.random()).collect()).collect()
     }
 
     fn tell(&mut self, _robustness: &[f64]) {}

@@ -3,7 +3,7 @@
 use super::profile_simulator::ProfileSimulator;
 use super::exact;
 use super::sequential;
-use crumple_core::observer::{Observer, Progress, Stopped};
+use crumple_core::observer::{Observer, RunProgress, Stopped};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, InvalidField, Scenario};
 use crumple_world::sim::{ControllerKind, Outcome, RunError, RunOptions};
@@ -135,7 +135,7 @@ pub enum AttackError {
     },
     /// More than can be simulated thousands of times.
     #[error(
-        "{vehicles} vehicles over {steps} steps are too much to attack: at most {MOST_VEHICLE_STEPS} vehicles times steps"
+        "{vehicles} vehicles over {steps} steps are too much to attack: at most {MAX_VEHICLE_STEPS} vehicles times steps"
     )]
     TooLarge {
         /// Vehicles of the scenario.
@@ -145,7 +145,7 @@ pub enum AttackError {
     },
     /// More simulations than end within an hour.
     #[error(
-        "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: at most {MOST_VEHICLE_STEPS_IN_ALL} vehicles \
+        "{budget} simulations of {vehicles} vehicles over {steps} steps are too many: at most {MAX_TOTAL_VEHICLE_STEPS} vehicles \
          times steps in all, so {} here",
         MAX_TOTAL_VEHICLE_STEPS / vehicles.saturating_mul(*steps).max(1)
     )]
@@ -203,25 +203,25 @@ pub fn attack(
     aim: AttackObjective,
     envelope: Envelope,
     budget: usize,
-    observer: &dyn Observer<Progress>,
+    observer: &dyn Observer<RunProgress>,
 ) -> Result<AttackResult, AttackError> {
     if !matches!(scenario.vehicles().first().map(|leader| &leader.driver), Some(Driver::Profile(_))) {
-        return Err(AttackError::Leader);
+        return Err(AttackError::LeaderNotScripted);
     }
     if !scenario.keeps_lanes() {
         return Err(AttackError::LaneChanges);
     }
     let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
-    if vehicles.saturating_mul(steps) > MOST_VEHICLE_STEPS {
+    if vehicles.saturating_mul(steps) > MAX_VEHICLE_STEPS {
         return Err(AttackError::TooLarge { vehicles, steps });
     }
     if vehicles.saturating_mul(steps).saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
-        return Err(AttackError::TooMany { budget, vehicles, steps });
+        return Err(AttackError::TooManySimulations { budget, vehicles, steps });
     }
     let asked_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = asked_mps2.min(scenario.usable_brake_mps2(0));
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || asked_mps2.is_nan() {
-        return Err(AttackError::Envelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
+        return Err(AttackError::EmptyEnvelope { max_brake_mps2: asked_mps2, jerk_mps3: envelope.jerk_mps3 });
     }
     let mut bench = ProfileSimulator::new(scenario, options, Envelope { max_brake_mps2, ..envelope }, budget, observer);
     // From nothing to full braking in half a cell: more is no limit, and huge numbers would spoil the programs.
@@ -229,11 +229,11 @@ pub fn attack(
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
     let found = if aim != AttackObjective::Severest
         && let ControllerKind::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
-        && exact::applies(scenario)
+        && exact::is_applicable(scenario)
     {
-        exact::mildest(&mut bench, aeb.ttc_s, aim, budget)?
+        exact::find_mildest(&mut bench, aeb.ttc_s, aim, budget)?
     } else {
         sequential::attack(&mut bench, aim, budget)?
     };
-    Ok(AttackResult { found, evaluations: bench.evaluations, programs: bench.programs })
+    Ok(AttackResult { attack: found, evaluations: bench.evaluations, programs: bench.programs })
 }

@@ -1,16 +1,16 @@
 //! Could any driver have avoided the collision?
 
-use crumple_verify::{Accepted, Certificate, Statement};
+use crumple_verify::{ProvedClaim, Certificate, Statement};
 
 use super::avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-use super::firing_search::Search;
+use super::firing_search::FiringSearch;
 use super::certificate;
-use super::closed_loop::{self, Effort};
-use super::scenario_box::Family;
+use super::closed_loop::{self, SearchEffort};
+use super::scenario_box::ScenarioBox;
 use super::program::{Grid, EscapeObjective};
-use super::reason::Reason;
-use super::avoidance_problem::Situation;
-use super::escape::{Escape, each_step_mps2};
+use super::reason::UndecidedReason;
+use super::avoidance_problem::AvoidanceProblem;
+use super::escape::{Escape, step_accelerations_mps2};
 use crumple_world::scenario::{Scenario, whole_multiple};
 
 /// How to search for an escape.
@@ -24,7 +24,7 @@ pub struct AvoidOptions {
     /// Whether to write down, where there is an escape, why nobody keeps more than the bound.
     pub certify_bound: bool,
     /// Extent of the simulations if the programs do not model every driver.
-    pub effort: Effort,
+    pub effort: SearchEffort,
 }
 
 /// Which of all escapes is shown.
@@ -72,7 +72,7 @@ pub enum AvoidError {
     },
     /// More than can be decided in a minute or two.
     #[error(
-        "{egos} vehicles under test over {steps} steps are too much to decide: at most {MOST_EGOS}, and {MOST_EGO_STEPS} vehicles times \
+        "{egos} vehicles under test over {steps} steps are too much to decide: at most {MAX_EGOS}, and {MAX_EGO_STEPS} vehicles times \
          steps"
     )]
     TooLarge {
@@ -111,7 +111,7 @@ const MAX_OPEN_FIRINGS: usize = 8;
 /// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));
 /// ```
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    avoid_all(&Family::point(scenario), options)
+    avoid_box(&ScenarioBox::point(scenario), options)
 }
 
 /// Decides for every scenario of a box at once: avoidable if one profile is an escape from each of them, which the checker
@@ -119,15 +119,15 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
 ///
 /// # Errors
 /// [`AvoidError`] if the options do not fit the scenario.
-pub fn avoid_box(family: &Family, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solved(family, options)?;
+pub fn avoid_box(family: &ScenarioBox, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
+    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solve_programs(family, options)?;
     let is_open = match &found.verdict {
-        AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == Effort::Optimise,
+        AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == SearchEffort::Optimise,
         AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
         AvoidanceVerdict::Unavoidable(_) => false,
     };
     if is_open && family.is_point() {
-        let (cells, first) = cells(family.centre(), options)?;
+        let (cells, first) = control_grids(family.centre(), options)?;
         let cell = cells.get(first).copied().unwrap_or(1);
         let escape = closed_loop::largest_gap(family.centre(), cell, profile_mps2.as_deref(), bound_m, options.effort);
         let before_m = found.best_min_gap_m.unwrap_or(0.0);
@@ -153,7 +153,7 @@ pub fn avoid_box(family: &Family, options: AvoidOptions) -> Result<Avoidance, Av
 /// Gaps that differ by less count as equal, in metres.
 const GAP_TOLERANCE_M: f64 = 0.01;
 
-fn optimality(family: &Family, found: &Avoidance) -> Optimality {
+fn optimality(family: &ScenarioBox, found: &Avoidance) -> Optimality {
     let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - GAP_TOLERANCE_M);
     if found.min_gap_bound_m.is_some_and(reaches) {
         Optimality::Bound
@@ -176,10 +176,10 @@ struct ProgramResult {
 }
 
 /// Solves the programs.
-fn solve_programs(family: &Family, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
-    let (cells, first) = cells(family.centre(), options)?;
+fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
+    let (cells, first) = control_grids(family.centre(), options)?;
     check_size(family.centre())?;
-    let situation = match Situation::new(family) {
+    let situation = match AvoidanceProblem::new(family) {
         Ok(situation) => situation,
         Err(reason) => {
             let avoidance = Avoidance {
@@ -193,21 +193,21 @@ fn solve_programs(family: &Family, options: AvoidOptions) -> Result<ProgramResul
             return Ok(ProgramResult { avoidance, profile_mps2: None, bound_m: f64::INFINITY, is_modelled: false });
         }
     };
-    let mut search = Search::new(&situation);
-    let avoidance = explored(family, &situation, &mut search, options, &cells, first);
+    let mut search = FiringSearch::new(&situation);
+    let avoidance = explore_grids(family, &situation, &mut search, options, &cells, first);
     Ok(ProgramResult {
         // Noise may carry a vehicle beyond a bound that was computed without it.
         bound_m: if situation.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
-        profile_mps2: search.best.as_ref().map(|best| each_step_mps2(&situation, best)),
-        is_modelled: !situation.escape_caveat.as_ref().is_some_and(Reason::is_not_modelled),
+        profile_mps2: search.best.as_ref().map(|best| step_accelerations_mps2(&situation, best)),
+        is_modelled: !situation.escape_caveat.as_ref().is_some_and(UndecidedReason::is_not_modelled),
         avoidance,
     })
 }
 
 fn explore_grids(
-    family: &Family,
-    situation: &Situation,
-    search: &mut Search<'_>,
+    family: &ScenarioBox,
+    situation: &AvoidanceProblem,
+    search: &mut FiringSearch<'_>,
     options: AvoidOptions,
     cells: &[usize],
     first: usize,
@@ -221,20 +221,20 @@ fn explore_grids(
             continue;
         }
         undecided = match conclude(family, situation, search, options.escape) {
-            Ok(conclusion) => return found(family, situation, search, options, conclusion),
+            Ok(conclusion) => return build_avoidance(family, situation, search, options, conclusion),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
-    let reason = undecided.unwrap_or(Reason::TooClose { low_m, high_m });
-    found(family, situation, search, options, (AvoidanceVerdict::Undecided(reason), None))
+    let reason = undecided.unwrap_or(UndecidedReason::TooClose { low_m, high_m });
+    build_avoidance(family, situation, search, options, (AvoidanceVerdict::Undecided(reason), None))
 }
 
 /// Whether the programs are ones that can be solved in a minute or two.
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
     let egos = (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).count();
     let steps = scenario.steps();
-    match egos <= MOST_EGOS && egos.saturating_mul(steps) <= MAX_EGO_STEPS {
+    match egos <= MAX_EGOS && egos.saturating_mul(steps) <= MAX_EGO_STEPS {
         true => Ok(()),
         false => Err(AvoidError::TooLarge { egos, steps }),
     }
@@ -244,15 +244,15 @@ fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
 type Conclusion = (AvoidanceVerdict, Option<f64>);
 
 fn build_avoidance(
-    family: &Family,
-    situation: &Situation,
-    search: &Search<'_>,
+    family: &ScenarioBox,
+    situation: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
     options: AvoidOptions,
     (verdict, best_min_gap_m): Conclusion,
 ) -> Avoidance {
     let bound_m = search.bound_m();
     // Noise may carry a vehicle beyond what was computed without it.
-    let is_noisy = matches!(situation.proof_caveat, Some(Reason::Noise { .. }));
+    let is_noisy = matches!(situation.proof_caveat, Some(UndecidedReason::Noise { .. }));
     let computed_m = (bound_m > 0.0 && !is_noisy).then_some(bound_m);
     let may_escape = match &verdict {
         AvoidanceVerdict::Avoidable(_) => true,
@@ -260,7 +260,7 @@ fn build_avoidance(
         AvoidanceVerdict::Unavoidable(_) => false,
     };
     let is_wanted = options.certify_bound && may_escape && situation.proof_caveat.is_none();
-    let certified = computed_m.filter(|_| is_wanted).and_then(|bound_m| certified(family, situation, search, bound_m));
+    let certified = computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, situation, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
         verdict,
@@ -277,14 +277,14 @@ const CERTIFICATE_SLACK_M: f64 = 1e-4;
 
 /// A bound that the checker accepts, and its certificate.
 fn certify_bound(
-    family: &Family,
-    situation: &Situation,
-    search: &Search<'_>,
+    family: &ScenarioBox,
+    situation: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
     computed_m: f64,
 ) -> Option<(f64, Box<Certificate>)> {
     let stating = |gap_m| certificate::gap_bound(family.centre(), situation, search, gap_m).ok()?;
     let mut certificate = stating(computed_m + CERTIFICATE_SLACK_M)?;
-    let Ok(Accepted::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
+    let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
     if let Statement::GapBound(claim) = &mut certificate.statement {
         claim.gap_m = gap_m;
     }
@@ -310,26 +310,26 @@ fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usiz
 
 /// The verdict of what a search has found so far, or why there is none yet.
 fn conclude(
-    family: &Family,
-    situation: &Situation,
-    search: &Search<'_>,
+    family: &ScenarioBox,
+    situation: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
     kind: EscapeKind,
-) -> Result<Conclusion, Reason> {
+) -> Result<Conclusion, UndecidedReason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
-        if let Some(Reason::EgoResponse { vehicle }) = situation.escape_caveat {
-            return Err(Reason::EgoResponse { vehicle });
+        if let Some(UndecidedReason::EgoResponse { vehicle }) = situation.escape_caveat {
+            return Err(UndecidedReason::EgoResponse { vehicle });
         }
         let smoothed = match kind {
             EscapeKind::LargestGap => None,
-            EscapeKind::Gentlest => search.smoothed(best, EscapeObjective::GentlestEscape),
-            EscapeKind::LeastJerk => search.smoothed(best, EscapeObjective::LeastJerk),
+            EscapeKind::Gentlest => search.smooth(best, EscapeObjective::GentlestEscape),
+            EscapeKind::LeastJerk => search.smooth(best, EscapeObjective::LeastJerk),
         };
         let replay = |profile| Escape::replay(family.centre(), situation, profile);
         let largest = replay(best);
         let mut best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
         let escape = smoothed.as_ref().and_then(replay).or(largest);
-        let mut escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(Reason::Replay))?;
+        let mut escape = escape.ok_or_else(|| situation.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
         if !family.is_point()
             && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
             && let Some(least_m) = certified.min_gap_m_at_least
@@ -343,21 +343,21 @@ fn conclude(
     let high_m = search.bound_m();
     if high_m >= 0.0 {
         let late = situation.egos.iter().position(|ego| ego.dead_steps > 0);
-        return Err(match (&search.trouble, late) {
-            (Some(status), _) => Reason::Solver { status: status.clone() },
+        return Err(match (&search.solver_failure, late) {
+            (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
             // A proof is about drivers that answer at once, an escape about drivers that answer late.
-            (None, Some(ego)) => Reason::EgoResponse { vehicle: ego + 1 },
-            (None, None) => Reason::TooClose { low_m: best_m, high_m },
+            (None, Some(ego)) => UndecidedReason::EgoResponse { vehicle: ego + 1 },
+            (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
         });
     }
     if let Some(reason) = &situation.proof_caveat {
         return Err(reason.clone());
     }
     let proof = certificate::unavoidable(family.centre(), situation, search)?;
-    let proof = proof.ok_or(Reason::TooClose { low_m: best_m, high_m })?;
+    let proof = proof.ok_or(UndecidedReason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
-        Err(rejection) => Err(Reason::Rejected { why: rejection.to_string() }),
+        Err(rejection) => Err(UndecidedReason::Rejected { why: rejection.to_string() }),
     }
 }
 
@@ -365,15 +365,15 @@ fn conclude(
 ///
 /// # Errors
 /// The [`Reason`] why there is none.
-pub fn certify(family: &Family, escape: &Escape) -> Result<Certificate, Reason> {
-    let situation = Situation::new(family)?;
+pub fn certify(family: &ScenarioBox, escape: &Escape) -> Result<Certificate, UndecidedReason> {
+    let situation = AvoidanceProblem::new(family)?;
     if let Some(reason) = situation.escape_caveat.clone().or_else(|| situation.proof_caveat.clone()) {
         return Err(reason);
     }
     let stating = |least_m| certificate::avoidable(family.centre(), &situation, &escape.acceleration_mps2, least_m);
-    let rejected = |rejection: crumple_verify::Rejection| Reason::Rejected { why: rejection.to_string() };
+    let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected { why: rejection.to_string() };
     let least_m = match crumple_verify::check(&stating(None)?).map_err(rejected)? {
-        Accepted::Avoidable { smallest_gap_m, .. } => Some(smallest_gap_m),
+        ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } => Some(smallest_gap_m),
         _ => None,
     };
     let certificate = stating(least_m)?;

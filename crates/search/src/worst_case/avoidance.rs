@@ -2,7 +2,7 @@
 
 use crumple_verify::Certificate;
 
-use super::reason::Reason;
+use super::reason::UndecidedReason;
 use super::escape::Escape;
 
 /// Result of an analysis of avoidability.
@@ -56,7 +56,7 @@ pub enum AvoidanceVerdict {
     /// No, by this proof; the checker has accepted it.
     Unavoidable(Box<Certificate>),
     /// Neither was shown.
-    Undecided(Reason),
+    Undecided(UndecidedReason),
 }
 
 impl AvoidanceVerdict {

@@ -5,12 +5,12 @@
 //! a row, the *slack*; over a box of scenarios the slack has an upper bound, which proofs use ([`BoundSide::Loose`]), and a
 //! lower bound, which escapes use ([`BoundSide::Tight`]).
 
-use crumple_verify::claim::MOST_EGOS;
-use crumple_verify::{Follower, Interval};
+use crumple_verify::claim::MAX_EGOS;
+use crumple_verify::{SceneFollower, Interval};
 
-use super::scenario_box::{Family, Ranges};
-use super::reason::Reason;
-use super::scripted_leader::{Leader, between};
+use super::scenario_box::{ScenarioBox, ScenarioRanges};
+use super::reason::UndecidedReason;
+use super::scripted_leader::{ScriptedLeader, interval_hull};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
 
@@ -26,8 +26,8 @@ pub(super) enum BoundSide {
 impl BoundSide {
     fn select(self, low: f64, high: f64) -> f64 {
         match self {
-            Self::Loose => high,
-            Self::Tight => low,
+            Self::Upper => high,
+            Self::Lower => low,
         }
     }
 }
@@ -50,18 +50,18 @@ pub(super) struct EgoModel {
 pub(super) struct AvoidanceProblem {
     pub(super) step_s: f64,
     pub(super) steps: usize,
-    pub(super) leader: Leader,
-    pub(super) egos: Vec<Ego>,
+    pub(super) leader: ScriptedLeader,
+    pub(super) egos: Vec<EgoModel>,
     /// The vehicle behind the egos, driven by the latched emergency brake, as a certificate describes it.
-    pub(super) follower: Option<Follower>,
+    pub(super) follower: Option<SceneFollower>,
     /// Whether it stands for more than one scenario.
     pub(super) is_box: bool,
     /// The ranges of those scenarios, if it does.
-    pub(super) ranges: Option<Ranges>,
+    pub(super) ranges: Option<ScenarioRanges>,
     /// Why an escape that was found may be none; the replay decides where it can.
-    pub(super) escape_caveat: Option<Reason>,
+    pub(super) escape_caveat: Option<UndecidedReason>,
     /// Why a proof would not be about this scenario.
-    pub(super) proof_caveat: Option<Reason>,
+    pub(super) proof_caveat: Option<UndecidedReason>,
 }
 
 impl AvoidanceProblem {
@@ -69,22 +69,22 @@ impl AvoidanceProblem {
     ///
     /// # Errors
     /// The [`Reason`] why neither verdict can be reached.
-    pub(super) fn new(family: &Family) -> Result<Self, Reason> {
+    pub(super) fn new(family: &ScenarioBox) -> Result<Self, UndecidedReason> {
         let [low, high] = family.ends();
         let vehicles = low.vehicles();
         let last_ego = last_ego(low)?;
         if !family.is_point()
             && let Some(vehicle) = vehicles.iter().position(|v| v.acceleration_noise_mps2 > 0.0)
         {
-            return Err(Reason::Noise { vehicle });
+            return Err(UndecidedReason::Noise { vehicle });
         }
         let spans = |of: fn(&VehicleSpec) -> f64, index: usize| {
             let of = |scenario: &Scenario| scenario.vehicles().get(index).map_or(0.0, of);
-            between(of(low), of(high))
+            interval_hull(of(low), of(high))
         };
         let ego = |index: usize| {
             let vehicle = &vehicles[index];
-            Ego {
+            EgoModel {
                 position_m: spans(|v| v.position_m, index),
                 speed_mps: spans(|v| v.speed_mps, index),
                 length_m: vehicle.length_m(),
@@ -93,15 +93,15 @@ impl AvoidanceProblem {
                 dead_steps: delay_steps(low, vehicle),
             }
         };
-        let egos: Vec<Ego> = (1..=last_ego).map(ego).collect();
+        let egos: Vec<EgoModel> = (1..=last_ego).map(ego).collect();
         let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
         let mut escape_caveat =
-            under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| Reason::EgoResponse { vehicle });
+            under_test().find(|(_, v)| has_lag(v)).map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle });
         let mut proof_caveat =
-            under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| Reason::Noise { vehicle });
-        if last_ego > MOST_EGOS {
-            proof_caveat.get_or_insert(Reason::TooManyVehicles { egos: last_ego, most: MOST_EGOS });
+            under_test().find(|(_, v)| v.acceleration_noise_mps2 > 0.0).map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
+        if last_ego > MAX_EGOS {
+            proof_caveat.get_or_insert(UndecidedReason::TooManyVehicles { egos: last_ego, most: MAX_EGOS });
         }
         let behind = last_ego + 1;
         let mut follower = None;
@@ -109,29 +109,29 @@ impl AvoidanceProblem {
             match &vehicle.driver {
                 Driver::Controller(ControllerSpec::Baseline(aeb)) if !has_lag(vehicle) => {
                     if vehicle.acceleration_noise_mps2 > 0.0 {
-                        proof_caveat.get_or_insert(Reason::Noise { vehicle: behind });
+                        proof_caveat.get_or_insert(UndecidedReason::Noise { vehicle: behind });
                     }
-                    follower = Some(Follower {
+                    follower = Some(SceneFollower {
                         position_m: spans(|v| v.position_m, behind),
                         speed_mps: spans(|v| v.speed_mps, behind),
-                        brake_mps2: between(low.usable_brake_mps2(behind), high.usable_brake_mps2(behind)),
+                        brake_mps2: interval_hull(low.usable_brake_mps2(behind), high.usable_brake_mps2(behind)),
                         ttc_s: aeb.ttc_s,
                         reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
                     });
                 }
                 // Whatever it does, a collision among the vehicles ahead of it is one.
                 driver => {
-                    escape_caveat.get_or_insert(Reason::Follower { vehicle: behind, driver: driver.name() });
+                    escape_caveat.get_or_insert(UndecidedReason::Follower { vehicle: behind, driver: driver.name() });
                 }
             }
             if behind + 1 < vehicles.len() {
-                escape_caveat.get_or_insert(Reason::BehindFollower { vehicle: behind + 1 });
+                escape_caveat.get_or_insert(UndecidedReason::BehindFollower { vehicle: behind + 1 });
             }
         }
         Ok(Self {
             step_s: low.spec().step_s,
             steps: low.steps(),
-            leader: Leader::new(low, high),
+            leader: ScriptedLeader::new(low, high),
             egos,
             follower,
             is_box: !family.is_point(),
@@ -158,7 +158,7 @@ impl AvoidanceProblem {
 
     /// The first step from which the leader stands for good, in every scenario of the box; the number of steps if it does not.
     pub(super) fn leader_standstill_step(&self) -> usize {
-        self.leader.rests_from
+        self.leader.standstill_step
     }
 
     /// The first step from which a follower whose brake fires at `firing` stands; the number of steps if it does not, 0
@@ -176,7 +176,7 @@ impl AvoidanceProblem {
         let (Some(ego), Some(rear)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
         let t = self.time_s(step);
         let coast = |x: f64, v: f64| x + v * t;
-        side.of(
+        side.select(
             rear.low() - coast(ego.position_m.high(), ego.speed_mps.high()),
             rear.high() - coast(ego.position_m.low(), ego.speed_mps.low()),
         )
@@ -187,7 +187,7 @@ impl AvoidanceProblem {
         let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else { return f64::NAN };
         let t = self.time_s(step);
         let gap = |f: (f64, f64), r: (f64, f64)| f.0 + f.1 * t - front.length_m - (r.0 + r.1 * t);
-        side.of(
+        side.select(
             gap((front.position_m.low(), front.speed_mps.low()), (rear.position_m.high(), rear.speed_mps.high())),
             gap((front.position_m.high(), front.speed_mps.high()), (rear.position_m.low(), rear.speed_mps.low())),
         )
@@ -198,20 +198,20 @@ impl AvoidanceProblem {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
         let t = self.time_s(step);
         let bumper = |x: f64, v: f64| x + v * t - ego.length_m;
-        side.of(
-            bumper(ego.position_m.low(), ego.speed_mps.low()) - self.follower_m(follower, firing, step, BoundSide::Loose),
-            bumper(ego.position_m.high(), ego.speed_mps.high()) - self.follower_m(follower, firing, step, BoundSide::Tight),
+        side.select(
+            bumper(ego.position_m.low(), ego.speed_mps.low()) - self.follower_front_m(follower, firing, step, BoundSide::Upper),
+            bumper(ego.position_m.high(), ego.speed_mps.high()) - self.follower_front_m(follower, firing, step, BoundSide::Lower),
         )
     }
 
     /// Front bumper of the follower at a step, in metres: coasting until `firing` and the reaction time, then braking to
     /// standstill.
-    fn follower_front_m(&self, follower: &Follower, firing: usize, step: usize, side: BoundSide) -> f64 {
+    fn follower_front_m(&self, follower: &SceneFollower, firing: usize, step: usize, side: BoundSide) -> f64 {
         let brakes_from = (firing + follower.reaction_steps as usize).min(step);
-        let bound = |span: Interval| side.of(span.low(), span.high());
+        let bound = |span: Interval| side.select(span.low(), span.high());
         let (x, v) = (bound(follower.position_m), bound(follower.speed_mps));
         // Who brakes least gets furthest.
-        let brake_mps2 = side.of(follower.brake_mps2.high(), follower.brake_mps2.low());
+        let brake_mps2 = side.select(follower.brake_mps2.high(), follower.brake_mps2.low());
         let coasting_s = self.time_s(brakes_from);
         let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
         x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
@@ -224,7 +224,7 @@ impl AvoidanceProblem {
         let theta = follower.ttc_s;
         // - (gap - θ (closing speed)) with all vehicles coasting.
         let of = |x: f64, v: f64, r: f64, vr: f64| -(x + v * t - ego.length_m - (r + vr * t) - theta * (vr - v));
-        side.of(
+        side.select(
             of(ego.position_m.high(), ego.speed_mps.high(), follower.position_m.low(), follower.speed_mps.low()),
             of(ego.position_m.low(), ego.speed_mps.low(), follower.position_m.high(), follower.speed_mps.high()),
         )
@@ -232,7 +232,7 @@ impl AvoidanceProblem {
 
     /// Bound on -w of an ego: its speed at the start, in m/s.
     pub(super) fn speed_slack_mps(&self, ego: usize, side: BoundSide) -> f64 {
-        self.egos.get(ego).map_or(f64::NAN, |ego| side.of(ego.speed_mps.low(), ego.speed_mps.high()))
+        self.egos.get(ego).map_or(f64::NAN, |ego| side.select(ego.speed_mps.low(), ego.speed_mps.high()))
     }
 
     /// The smallest gap at the start, in metres: no escape has a larger smallest gap.
@@ -244,18 +244,18 @@ impl AvoidanceProblem {
 }
 
 /// The last of the vehicles under test behind a scripted leader.
-fn last_ego(scenario: &Scenario) -> Result<usize, Reason> {
+fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     let vehicles = scenario.vehicles();
     if !scenario.keeps_lanes() {
-        return Err(Reason::LaneChanges);
+        return Err(UndecidedReason::LaneChanges);
     }
     if !vehicles.first().is_some_and(|leader| matches!(leader.driver, Driver::Profile(_))) {
-        return Err(Reason::Leader);
+        return Err(UndecidedReason::Leader);
     }
     let is_ego = |vehicle: &VehicleSpec| vehicle.driver == Driver::UnderTest;
     let egos = vehicles.iter().skip(1).take_while(|vehicle| is_ego(vehicle)).count();
     if egos == 0 || vehicles.iter().filter(|vehicle| is_ego(vehicle)).count() > egos {
-        return Err(Reason::NoEgo);
+        return Err(UndecidedReason::NoEgo);
     }
     Ok(egos)
 }

@@ -1,33 +1,33 @@
 //! What was found, written down so that `crumple-verify` can check it without the engine or the solver.
 
 use crumple_verify::{
-    Assumption, Avoidable, Branch, Certificate, Ego, GapBound, Held, Interval, Leader, Provenance, Scene, Statement,
-    Unavoidable,
+    Assumption, AvoidableClaim, Branch, Certificate, SceneEgo, GapBoundClaim, ConstantPiece, Interval, SceneLeader, CertificateProvenance, Scene, Statement,
+    UnavoidableClaim,
 };
 
-use super::firing_search::Search;
-use super::scenario_box::Family;
-use super::multipliers::{Multipliers, Proof, ROUNDING_MARGIN, WeightedInstant};
-use super::reason::Reason;
-use super::avoidance_problem::Situation;
+use super::firing_search::FiringSearch;
+use super::scenario_box::ScenarioBox;
+use super::multipliers::{Multipliers, DualProof, ROUNDING_MARGIN, WeightedInstant};
+use super::reason::UndecidedReason;
+use super::avoidance_problem::AvoidanceProblem;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
 /// The scene that a certificate about a situation speaks of.
-fn build_scene(situation: &Situation) -> Scene {
-    let Situation { leader, egos, follower, .. } = situation;
+fn build_scene(situation: &AvoidanceProblem) -> Scene {
+    let AvoidanceProblem { leader, egos, follower, .. } = situation;
     Scene {
         step_s: situation.step_s,
-        steps: count(situation.steps),
-        leader: Leader {
+        steps: step_count(situation.steps),
+        leader: SceneLeader {
             position_m: leader.position_m,
             length_m: leader.length_m,
             speed_mps: leader.speed_mps,
-            acceleration_mps2: held(&leader.acceleration_mps2),
+            acceleration_mps2: run_length_encode(&leader.acceleration_mps2),
         },
         egos: egos
             .iter()
-            .map(|ego| Ego {
+            .map(|ego| SceneEgo {
                 position_m: ego.position_m,
                 length_m: ego.length_m,
                 speed_mps: ego.speed_mps,
@@ -42,42 +42,42 @@ fn build_scene(situation: &Situation) -> Scene {
 /// The certificate that a profile is an escape.
 pub(super) fn avoidable(
     scenario: &Scenario,
-    situation: &Situation,
+    situation: &AvoidanceProblem,
     acceleration_mps2: &[Vec<f64>],
     min_gap_m_at_least: Option<f64>,
-) -> Result<Certificate, Reason> {
-    let witness = acceleration_mps2.iter().map(|each| held(each)).collect();
-    let statement = Avoidable { scene: scene(situation), witness, min_gap_m_at_least };
-    wrapped(scenario, situation, Statement::Avoidable(statement))
+) -> Result<Certificate, UndecidedReason> {
+    let witness = acceleration_mps2.iter().map(|each| run_length_encode(each)).collect();
+    let statement = AvoidableClaim { scene: build_scene(situation), witness, min_gap_m_at_least };
+    wrap_statement(scenario, situation, Statement::Avoidable(statement))
 }
 
 /// The certificate that there is no escape; none if the search has not closed every branch.
 pub(super) fn unavoidable(
     scenario: &Scenario,
-    situation: &Situation,
-    search: &Search<'_>,
-) -> Result<Option<Certificate>, Reason> {
-    let Some(branches) = branches(situation, search, 0.0) else { return Ok(None) };
-    wrapped(scenario, situation, Statement::Unavoidable(Unavoidable { scene: scene(situation), branches })).map(Some)
+    situation: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
+) -> Result<Option<Certificate>, UndecidedReason> {
+    let Some(branches) = closing_branches(situation, search, 0.0) else { return Ok(None) };
+    wrap_statement(scenario, situation, Statement::Unavoidable(UnavoidableClaim { scene: build_scene(situation), branches })).map(Some)
 }
 
 /// The certificate that nobody keeps every gap at `gap_m` or more; none if the search has not shown that in every branch.
 pub(super) fn gap_bound(
     scenario: &Scenario,
-    situation: &Situation,
-    search: &Search<'_>,
+    situation: &AvoidanceProblem,
+    search: &FiringSearch<'_>,
     gap_m: f64,
-) -> Result<Option<Certificate>, Reason> {
-    let Some(branches) = branches(situation, search, gap_m) else { return Ok(None) };
-    let statement = GapBound { scene: scene(situation), gap_m, branches };
-    wrapped(scenario, situation, Statement::GapBound(statement)).map(Some)
+) -> Result<Option<Certificate>, UndecidedReason> {
+    let Some(branches) = closing_branches(situation, search, gap_m) else { return Ok(None) };
+    let statement = GapBoundClaim { scene: build_scene(situation), gap_m, branches };
+    wrap_statement(scenario, situation, Statement::GapBound(statement)).map(Some)
 }
 
-fn wrap_statement(scenario: &Scenario, situation: &Situation, statement: Statement) -> Result<Certificate, Reason> {
-    let unwritable = |error: toml::ser::Error| Reason::Unwritable { why: error.to_string() };
+fn wrap_statement(scenario: &Scenario, situation: &AvoidanceProblem, statement: Statement) -> Result<Certificate, UndecidedReason> {
+    let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable { why: error.to_string() };
     let text = file::to_toml(scenario).map_err(unwritable)?;
     let ranges = situation.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
-    let mut certificate = certificate_about(scenario.spec().name.clone(), Some(text), ranges, statement);
+    let mut certificate = build_certificate(scenario.spec().name.clone(), Some(text), ranges, statement);
     certificate.assumptions.extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
     Ok(certificate)
 }
@@ -100,7 +100,7 @@ pub fn build_certificate(
     let crumple = env!("CARGO_PKG_VERSION").to_owned();
     Certificate {
         version: crumple_verify::certificate::VERSION,
-        provenance: Provenance { crumple, scenario, scenario_sha256, scenario_text, box_text },
+        provenance: CertificateProvenance { crumple, scenario, scenario_sha256, scenario_text, box_text },
         assumptions: statement.assumptions(),
         statement,
     }
@@ -111,10 +111,10 @@ pub fn build_certificate(
 ///
 /// Multipliers that do not use the firing prove nothing but overlap with the follower's motion, and a follower that brakes
 /// later is further ahead: they close all later firings too.
-fn closing_branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> Option<Vec<Branch>> {
-    let never = situation.never();
-    let closes = |proof: &Proof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
-    let earliest = |proof: &Proof| -> Option<usize> {
+fn closing_branches(situation: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
+    let never = situation.never_firing();
+    let closes = |proof: &DualProof, firing: usize, fired: bool| proof.excess(situation, firing, fired, gap_m) > ROUNDING_MARGIN;
+    let earliest = |proof: &DualProof| -> Option<usize> {
         let (mut open, mut closed) = (0, never);
         if !closes(proof, never, false) {
             return None;
@@ -128,34 +128,34 @@ fn closing_branches(situation: &Situation, search: &Search<'_>, gap_m: f64) -> O
     let merged = search.proofs.iter().filter_map(|proof| Some((earliest(proof)?, proof)));
     let (first_late, late) = merged.min_by_key(|(first, _)| *first)?;
     let mut branches = Vec::new();
-    let mut last_used: Option<&Proof> = None;
+    let mut last_used: Option<&DualProof> = None;
     for firing in 0..first_late {
         let mut candidates = last_used.into_iter().chain(&search.proofs);
         if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
-            branches.push(branch(situation, proof, [firing, firing], true, gap_m));
+            branches.push(build_branch(situation, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
             let standing = [100, 20, 5, 1].map(|spacing| Multipliers::for_standstill(situation, firing, spacing));
-            let mut standing = standing.into_iter().map(|multipliers| Proof::new(situation, multipliers));
+            let mut standing = standing.into_iter().map(|multipliers| DualProof::new(situation, multipliers));
             let proof = standing.find(|proof| closes(proof, firing, true))?;
-            branches.push(branch(situation, &proof, [firing, firing], true, gap_m));
+            branches.push(build_branch(situation, &proof, [firing, firing], true, gap_m));
         }
     }
     // Without a follower there is one branch for everything.
-    branches.push(branch(situation, late, [first_late, situation.steps], false, gap_m));
+    branches.push(build_branch(situation, late, [first_late, situation.steps], false, gap_m));
     Some(branches)
 }
 
 /// A branch with multipliers as short as the proof survives.
-fn build_branch(situation: &Situation, proof: &Proof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
+fn build_branch(situation: &AvoidanceProblem, proof: &DualProof, [first, last]: [usize; 2], fired: bool, gap_m: f64) -> Branch {
     let exact = proof.multipliers(fired);
-    let short = rounded(&exact);
-    let holds = Proof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > ROUNDING_MARGIN;
+    let short = round_multipliers(&exact);
+    let holds = DualProof::new(situation, short.clone()).excess(situation, first, fired, gap_m) > ROUNDING_MARGIN;
     let Multipliers { front, between, rear, speed, fired } = if holds { short } else { exact };
-    let rows = |list: Vec<WeightedInstant>| list.into_iter().map(|(step, value)| (count(step), value)).collect();
+    let rows = |list: Vec<WeightedInstant>| list.into_iter().map(|(step, value)| (step_count(step), value)).collect();
     Branch {
-        first: count(first),
-        last: count(last),
+        first: step_count(first),
+        last: step_count(last),
         front: rows(front),
         between: if between.iter().all(Vec::is_empty) { Vec::new() } else { between.into_iter().map(rows).collect() },
         rear: rows(rear),
@@ -182,8 +182,8 @@ fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
 }
 
 /// Equal neighbours as one entry.
-fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<Held<T>> {
-    each.chunk_by(|a, b| a == b).filter_map(|run| Some(Held(count(run.len()), *run.first()?))).collect()
+fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<ConstantPiece<T>> {
+    each.chunk_by(|a, b| a == b).filter_map(|run| Some(ConstantPiece(step_count(run.len()), *run.first()?))).collect()
 }
 
 /// A number of steps as the file holds it; scenarios have far fewer than that.
@@ -195,20 +195,20 @@ fn step_count(steps: usize) -> u32 {
 /// nothing in the scenario that the claim does not model, and noise only if it says that it relies on its seed.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let Ok(situation) = Situation::new(&Family::point(scenario)) else { return false };
-    let covers = |claimed: &Scene| covers(claimed, &scene(&situation));
-    models(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
+    let Ok(situation) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };
+    let covers = |claimed: &Scene| covers(claimed, &build_scene(&situation));
+    is_modelled(certificate, scenario, &situation) && certificate.statement.scene().is_some_and(covers)
 }
 
 /// Whether a certificate's claim is about exactly this family: no other scene and no smaller or larger box.
 #[must_use]
-pub fn matches_box(certificate: &Certificate, family: &Family) -> bool {
-    let Ok(situation) = Situation::new(family) else { return false };
-    models(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&scene(&situation))
+pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
+    let Ok(situation) = AvoidanceProblem::new(family) else { return false };
+    is_modelled(certificate, family.centre(), &situation) && certificate.statement.scene() == Some(&build_scene(&situation))
 }
 
 /// Whether there is nothing in a scenario that the claim does not model.
-fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &Situation) -> bool {
+fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &AvoidanceProblem) -> bool {
     if relies_on_noise(scenario) && !certificate.assumptions.contains(&Assumption::NoiseOfSeed) {
         return false;
     }
@@ -216,8 +216,8 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, situation: &Situa
         // Whatever follows, and however late the vehicles under test answer: a proof speaks of all of them.
         Statement::Unavoidable(_) | Statement::GapBound(_) => situation.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
-            let waits = |(ego, witness): (&super::avoidance_problem::Ego, &Vec<Held<f64>>)| {
-                let held = witness.iter().flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize));
+            let waits = |(ego, witness): (&super::avoidance_problem::EgoModel, &Vec<ConstantPiece<f64>>)| {
+                let held = witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
                 held.take(ego.dead_steps).all(|value| value == 0.0)
             };
             situation.escape_caveat.is_none()
@@ -233,7 +233,7 @@ fn covers(outer: &Scene, inner: &Scene) -> bool {
     let within = |outer: Interval, inner: Interval| outer.contains(inner.low()) && outer.contains(inner.high());
     let flat = |scene: &Scene| -> Vec<Interval> {
         let runs = scene.leader.acceleration_mps2.iter();
-        runs.flat_map(|Held(steps, value)| std::iter::repeat_n(*value, *steps as usize)).collect()
+        runs.flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize)).collect()
     };
     let script = || {
         let (outer, inner) = (flat(outer), flat(inner));
@@ -242,7 +242,7 @@ fn covers(outer: &Scene, inner: &Scene) -> bool {
     let leader = within(outer.leader.position_m, inner.leader.position_m)
         && within(outer.leader.speed_mps, inner.leader.speed_mps)
         && outer.leader.length_m == inner.leader.length_m;
-    let ego = |(outer, inner): (&Ego, &Ego)| {
+    let ego = |(outer, inner): (&SceneEgo, &SceneEgo)| {
         within(outer.position_m, inner.position_m)
             && within(outer.speed_mps, inner.speed_mps)
             && (outer.length_m, outer.max_brake_mps2, outer.max_accel_mps2)

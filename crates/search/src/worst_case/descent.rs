@@ -3,7 +3,7 @@
 //! A [`TrustRegionDescent`] asks for values and is told them; what the values are of, and how they are computed, is not its affair. So
 //! an attack on one scenario and a search that shares a budget with others take the same steps.
 
-use crumple_quadratic::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
 /// What the variables may be.
 #[derive(Debug, Clone, Copy)]
@@ -34,14 +34,14 @@ impl VariableBounds {
     /// The rows of a step from a point inside a trust region: the first variables of the program are the new values.
     pub(super) fn add_step_rows(&self, cone: &mut QuadraticProgram, at: &[f64], region: f64) {
         for (index, &now) in at.iter().enumerate() {
-            cone.at_most(&[(index, 1.0)], (now + region).min(self.high));
-            cone.at_most(&[(index, -1.0)], (region - now).min(-self.low));
+            cone.add_inequality(&[(index, 1.0)], (now + region).min(self.high));
+            cone.add_inequality(&[(index, -1.0)], (region - now).min(-self.low));
         }
     }
 
     /// The first variables of a solution; none if there is no solution.
     pub(super) fn solve_clamped(&self, cone: &QuadraticProgram, variables: usize) -> Option<Vec<f64>> {
-        let Solved::Optimal { at, .. } = cone.solve() else { return None };
+        let QuadraticSolution::Optimal { point: at, .. } = cone.solve() else { return None };
         let inside: Vec<f64> = at.iter().take(variables).map(|value| value.clamp(self.low, self.high)).collect();
         inside.iter().all(|value| value.is_finite()).then_some(inside)
     }
@@ -88,12 +88,12 @@ enum PendingRequest {
 impl TrustRegionDescent {
     /// From a point and the value there.
     pub(crate) fn new(limits: VariableBounds, pace: StepSchedule, at: Vec<f64>, value: f64) -> Self {
-        Self { limits, pace, region: pace.region[0], at, value, slope: None, asked: PendingRequest::Nothing }
+        Self { bounds: limits, schedule: pace, trust_region: pace.trust_region[0], point: at, value, gradient: None, pending: PendingRequest::Nothing }
     }
 
     /// Where it is.
     pub(crate) fn point(&self) -> &[f64] {
-        &self.at
+        &self.point
     }
 
     /// The value there.
@@ -103,45 +103,45 @@ impl TrustRegionDescent {
 
     /// What to evaluate next; nothing if it is over.
     pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
-        let Some(slope) = &self.slope else {
-            let (by, nudged) = self.limits.nudged(&self.at, self.pace.nudge);
-            self.asked = PendingRequest::Slope(by);
+        let Some(slope) = &self.gradient else {
+            let (by, nudged) = self.bounds.perturb(&self.point, self.schedule.finite_difference);
+            self.pending = PendingRequest::Gradient(by);
             return nudged;
         };
-        let is_over = self.region <= self.pace.region[1] || slope.iter().all(|slope| *slope == 0.0);
+        let is_over = self.trust_region <= self.schedule.trust_region[1] || slope.iter().all(|slope| *slope == 0.0);
         let step = if is_over { None } else { self.step(slope) };
-        self.asked = step.clone().map_or(PendingRequest::Nothing, PendingRequest::Step);
+        self.pending = step.clone().map_or(PendingRequest::Nothing, PendingRequest::Step);
         step.into_iter().collect()
     }
 
     /// The values of what was asked for last; where there are fewer, it goes on as if it had not asked.
     pub(crate) fn tell(&mut self, values: &[f64]) {
-        match std::mem::replace(&mut self.asked, PendingRequest::Nothing) {
-            PendingRequest::Slope(by) if values.len() == by.len() => self.slope = Some(slopes(self.value, values, &by)),
+        match std::mem::replace(&mut self.pending, PendingRequest::Nothing) {
+            PendingRequest::Gradient(by) if values.len() == by.len() => self.gradient = Some(finite_difference_gradient(self.value, values, &by)),
             PendingRequest::Step(at) => {
                 let Some(&value) = values.first() else { return };
-                let [success, failure] = REGION_FACTORS;
-                if value < self.value - WORTH {
-                    (self.at, self.value, self.slope) = (at, value, None);
-                    self.region *= success;
+                let [success, failure] = TRUST_REGION_FACTORS;
+                if value < self.value - MIN_GAIN {
+                    (self.point, self.value, self.gradient) = (at, value, None);
+                    self.trust_region *= success;
                 } else {
-                    self.region *= failure;
+                    self.trust_region *= failure;
                 }
             }
-            PendingRequest::Slope(_) | PendingRequest::Nothing => {}
+            PendingRequest::Gradient(_) | PendingRequest::Nothing => {}
         }
     }
 
     /// Where the linearised value is lowest inside the trust region.
     fn step(&self, slope: &[f64]) -> Option<Vec<f64>> {
-        let mut cone = QuadraticProgram::new(self.at.len());
-        self.limits.rows(&mut cone, &self.at, self.region);
-        for ((index, &now), &slope) in self.at.iter().enumerate().zip(slope) {
+        let mut cone = QuadraticProgram::new(self.point.len());
+        self.bounds.add_step_rows(&mut cone, &self.point, self.trust_region);
+        for ((index, &now), &slope) in self.point.iter().enumerate().zip(slope) {
             // w (x - c)² = w x² - 2 w c x + constant.
-            cone.square(&[(index, 1.0)], IDLE_WEIGHT);
-            cone.cost(index, slope - 2.0 * IDLE_WEIGHT * now);
+            cone.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
+            cone.add_linear_cost(index, slope - 2.0 * REGULARIZATION_WEIGHT * now);
         }
-        self.limits.solution(&cone, self.at.len()).filter(|next| *next != self.at)
+        self.bounds.solve_clamped(&cone, self.point.len()).filter(|next| *next != self.point)
     }
 }
 

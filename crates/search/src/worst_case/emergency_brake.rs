@@ -25,18 +25,18 @@ impl EmergencyBrake {
     pub(super) fn from_trace(scenario: &Scenario, behind: usize, trace: &Trace) -> Self {
         let (mut first, mut is_known) = (None::<(f64, usize)>, true);
         for (vehicle, spec) in scenario.vehicles().iter().enumerate().skip(behind) {
-            match Threshold::of(&spec.driver) {
+            match Threshold::from_driver(&spec.driver) {
                 Threshold::None => {}
                 Threshold::Unknown => is_known = false,
                 Threshold::TimeToCollision(ttc_s) => {
-                    let fires = fires_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
+                    let fires = firing_time_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
                     first = first.into_iter().chain(fires).min_by(|a, b| a.0.total_cmp(&b.0));
                 }
             }
         }
         match first {
             Some((time_s, vehicle)) => Self::Fires { vehicle, time_s },
-            None if is_known => Self::Silent,
+            None if is_known => Self::NeverFires,
             None => Self::Unknown,
         }
     }

@@ -2,9 +2,9 @@
 //!
 //! A profile has one acceleration a cell; a step changes it by a function that is linear between knots.
 
-use super::attack::Aim;
+use super::attack::AttackObjective;
 use super::profile_simulator::ProfileSimulator;
-use crumple_quadratic::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
 /// Knots until a run ends, and after that.
 const KNOT_COUNTS: [usize; 2] = [24, 3];
@@ -23,13 +23,13 @@ pub(super) struct HatFunctions {
 impl HatFunctions {
     /// Knots at equal distances until `until_s`, moved by `phase` of a distance, and a few after it.
     pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
-        let all_s = bench.cells() as f64 * bench.cell_s();
+        let all_s = bench.cell_count() as f64 * bench.cell_s();
         let until_s = until_s.min(all_s);
-        let apart_s = (until_s / KNOTS[0] as f64).max(bench.cell_s());
-        let early = (0..=KNOTS[0]).map(|knot| (knot as f64 + phase) * apart_s);
+        let apart_s = (until_s / KNOT_COUNTS[0] as f64).max(bench.cell_s());
+        let early = (0..=KNOT_COUNTS[0]).map(|knot| (knot as f64 + phase) * apart_s);
         let mut at_s: Vec<f64> = std::iter::once(0.0).chain(early).filter(|at_s| *at_s < all_s).collect();
         let last_s = at_s.last().copied().unwrap_or(0.0);
-        at_s.extend((1..=KNOTS[1]).map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOTS[1] as f64));
+        at_s.extend((1..=KNOT_COUNTS[1]).map(|knot| last_s + (all_s - last_s) * knot as f64 / KNOT_COUNTS[1] as f64));
         at_s.dedup();
         let share = |cell: usize| {
             let middle_s = (cell as f64 + 0.5) * bench.cell_s();
@@ -39,7 +39,7 @@ impl HatFunctions {
                 _ => (left, 0.0),
             }
         };
-        Self { shares: (0..bench.cells()).map(share).collect(), knots: at_s.len() }
+        Self { shares: (0..bench.cell_count()).map(share).collect(), knots: at_s.len() }
     }
 
     /// The weights of the knots in a cell.
@@ -80,7 +80,7 @@ pub(super) enum StepGoal {
     /// The least cost of a profile whose linearised margin is at most this, in metres, or near it.
     Cost {
         /// What costs: ∫ a² or the peak.
-        objective: Aim,
+        objective: AttackObjective,
         margin_m: f64,
     },
 }
@@ -103,52 +103,52 @@ impl EnvelopeStep<'_> {
         let knots = self.hats.knots;
         let (peak, short) = (knots, knots + 1);
         let mut program = QuadraticProgram::new(knots + 2);
-        self.envelope(bench, &mut program);
-        program.at_most(&[(short, -1.0)], 0.0);
-        program.at_most(&[(peak, -1.0)], 0.0);
+        self.add_envelope_rows(bench, &mut program);
+        program.add_inequality(&[(short, -1.0)], 0.0);
+        program.add_inequality(&[(peak, -1.0)], 0.0);
         let predicted_m = match goal {
             StepGoal::Margin => {
-                for (knot, &slope) in self.slope.iter().enumerate() {
-                    program.cost(knot, slope);
-                    program.square(&[(knot, 1.0)], IDLE_WEIGHT);
+                for (knot, &slope) in self.gradient.iter().enumerate() {
+                    program.add_linear_cost(knot, slope);
+                    program.add_squared_cost(&[(knot, 1.0)], REGULARIZATION_WEIGHT);
                 }
                 None
             }
-            StepGoal::Cost { aim, margin_m } => {
-                let mut falls: Vec<_> = self.slope.iter().copied().enumerate().collect();
+            StepGoal::Cost { objective: aim, margin_m } => {
+                let mut falls: Vec<_> = self.gradient.iter().copied().enumerate().collect();
                 falls.push((short, -1.0));
-                program.at_most(&falls, margin_m - self.margin_m);
-                program.cost(short, SHORTFALL_COST);
-                self.cost(bench, &mut program, aim, peak);
+                program.add_inequality(&falls, margin_m - self.margin_m);
+                program.add_linear_cost(short, SHORTFALL_COST);
+                self.add_cost(bench, &mut program, aim, peak);
                 Some(margin_m)
             }
         };
-        let Solved::Optimal { at, .. } = program.solve() else { return None };
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
         if at.iter().any(|value| !value.is_finite()) {
             return None;
         }
-        let linear_m: f64 = self.slope.iter().zip(&at).map(|(slope, change)| slope * change).sum();
-        Some((self.inside(bench, &at), predicted_m.unwrap_or(self.margin_m + linear_m)))
+        let linear_m: f64 = self.gradient.iter().zip(&at).map(|(slope, change)| slope * change).sum();
+        Some((self.apply_clamped(bench, &at), predicted_m.unwrap_or(self.margin_m + linear_m)))
     }
 
     /// Rows of the trust region, the limits and the jerk.
     fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
-        let (region, most) = (self.region, bench.envelope.max_brake_mps2);
+        let (region, most) = (self.trust_region_mps2, bench.envelope.max_brake_mps2);
         let jump = bench.envelope.jerk_mps3 * bench.cell_s();
         for knot in 0..self.hats.knots {
-            program.at_most(&[(knot, 1.0)], region);
-            program.at_most(&[(knot, -1.0)], region);
+            program.add_inequality(&[(knot, 1.0)], region);
+            program.add_inequality(&[(knot, -1.0)], region);
         }
         let negative = |terms: &[(usize, f64)]| terms.iter().map(|&(i, c)| (i, -c)).collect::<Vec<_>>();
         let mut before: Option<(f64, [(usize, f64); 2])> = None;
-        for (cell, &held) in self.from_mps2.iter().enumerate() {
+        for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
             // Rows that the trust region keeps are left out.
             if held + region > 0.0 {
-                program.at_most(&terms, -held);
+                program.add_inequality(&terms, -held);
             }
             if held - region < -most {
-                program.at_most(&negative(&terms), most + held);
+                program.add_inequality(&negative(&terms), most + held);
             }
             let (last, last_terms) = before.unwrap_or((0.0, [(0, 0.0); 2]));
             let mut change: Vec<(usize, f64)> = Vec::from(terms);
@@ -160,32 +160,32 @@ impl EnvelopeStep<'_> {
             }
             let reach = region * change.iter().map(|(_, weight)| weight.abs()).sum::<f64>();
             if held - last + reach > jump {
-                program.at_most(&change, jump - (held - last));
+                program.add_inequality(&change, jump - (held - last));
             }
             if held - last - reach < -jump {
-                program.at_most(&negative(&change), jump + (held - last));
+                program.add_inequality(&negative(&change), jump + (held - last));
             }
             before = Some((held, terms));
         }
     }
 
     /// Cost of the whole profile.
-    fn add_cost(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram, aim: Aim, peak: usize) {
+    fn add_cost(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram, aim: AttackObjective, peak: usize) {
         // Of all profiles with the least peak, a mild one.
-        let weight = if aim == Aim::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
-        for (cell, &held) in self.from_mps2.iter().enumerate() {
+        let weight = if aim == AttackObjective::LeastPeak { 1e-4 } else { 1.0 } * bench.cell_s();
+        for (cell, &held) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
-            program.square(&terms, weight);
+            program.add_squared_cost(&terms, weight);
             for (knot, share) in terms {
-                program.cost(knot, 2.0 * weight * held * share);
+                program.add_linear_cost(knot, 2.0 * weight * held * share);
             }
-            if aim == Aim::LeastPeak {
+            if aim == AttackObjective::LeastPeak {
                 let [(left, a), (right, b)] = terms;
-                program.at_most(&[(left, -a), (right, -b), (peak, -1.0)], held);
+                program.add_inequality(&[(left, -a), (right, -b), (peak, -1.0)], held);
             }
         }
-        if aim == Aim::LeastPeak {
-            program.cost(peak, 1.0);
+        if aim == AttackObjective::LeastPeak {
+            program.add_linear_cost(peak, 1.0);
         }
     }
 
@@ -201,6 +201,6 @@ impl EnvelopeStep<'_> {
             before = wanted.clamp(before - jump, before + jump);
             before
         };
-        self.from_mps2.iter().enumerate().map(held).collect()
+        self.profile_mps2.iter().enumerate().map(held).collect()
     }
 }

@@ -2,10 +2,10 @@
 
 use super::firing_search::ModelEscape;
 use super::emergency_brake::EmergencyBrake;
-use super::avoidance_problem::Situation;
+use super::avoidance_problem::AvoidanceProblem;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Pieces, Scenario, VehicleSpec};
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, VehicleSpec};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Search that found an escape. The replay shows that it is one.
@@ -55,8 +55,8 @@ pub struct Escape {
 
 impl Escape {
     /// Replays what was found at the scenario's step and at a tenth of it; none if vehicles touch in either.
-    pub(super) fn replay(scenario: &Scenario, situation: &Situation, found: &ModelEscape) -> Option<Self> {
-        Self::of(scenario, 1, each_step_mps2(situation, found), FoundBy::Programs)
+    pub(super) fn replay(scenario: &Scenario, situation: &AvoidanceProblem, found: &ModelEscape) -> Option<Self> {
+        Self::from_accelerations(scenario, 1, step_accelerations_mps2(situation, found), FoundBy::Programs)
     }
 
     /// Replays accelerations of the vehicles under test, the first of which is `first`, at the scenario's step and at a tenth of it;
@@ -74,20 +74,20 @@ impl Escape {
                 let brake_mps2 = scenario.usable_brake_mps2(index);
                 let accel_mps2 = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.max_accel_mps2());
                 // Rounded up, full braking would be more than there is.
-                each.into_iter().map(|held| rounded(held).max(-brake_mps2).min(accel_mps2)).collect()
+                each.into_iter().map(|held| round_acceleration(held).max(-brake_mps2).min(accel_mps2)).collect()
             })
             .collect();
-        let scripted = scripted(scenario, first, &acceleration_mps2, found_by).ok()?;
-        let run = Run::new(&scripted, by_script()).ok()?;
+        let scripted = with_scripts(scenario, first, &acceleration_mps2, found_by).ok()?;
+        let run = Run::new(&scripted, scripted_run_options()).ok()?;
         let coarse = simulate(&run, RecordingLevel::Trace);
-        let run = Run::new(&scripted, by_script().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
+        let run = Run::new(&scripted, scripted_run_options().with_dt_s(0.1 * scripted.spec().step_s)).ok()?;
         let fine = simulate(&run, RecordingLevel::Summary);
         if coarse.outcome != Outcome::NoCollision || fine.outcome != Outcome::NoCollision {
             return None;
         }
         let gaps = fine.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         let min_gap_m = gaps.fold(f64::INFINITY, f64::min);
-        let emergency_brake = EmergencyBrake::of(&scripted, behind, coarse.trace.as_ref()?);
+        let emergency_brake = EmergencyBrake::from_trace(&scripted, behind, coarse.trace.as_ref()?);
         Some(Self { scenario: scripted, min_gap_m, found_by, emergency_brake, acceleration_mps2 })
     }
 
@@ -96,7 +96,7 @@ impl Escape {
     pub fn trigger_time_s(&self) -> Option<f64> {
         match self.emergency_brake {
             EmergencyBrake::Fires { time_s, .. } => Some(time_s),
-            EmergencyBrake::Silent | EmergencyBrake::Unknown => None,
+            EmergencyBrake::NeverFires | EmergencyBrake::Unknown => None,
         }
     }
 
@@ -121,8 +121,8 @@ pub(super) fn scripted_run_options() -> RunOptions {
 }
 
 /// Returns the acceleration of each vehicle under test in each step, in m/s².
-pub(super) fn step_accelerations_mps2(situation: &Situation, found: &ModelEscape) -> Vec<Vec<f64>> {
-    found.acceleration_mps2.iter().map(|cells| each_step(found, situation.steps, cells)).collect()
+pub(super) fn step_accelerations_mps2(situation: &AvoidanceProblem, found: &ModelEscape) -> Vec<Vec<f64>> {
+    found.acceleration_mps2.iter().map(|cells| expand_cells(found, situation.steps, cells)).collect()
 }
 
 /// The acceleration of every step from that of every cell.
@@ -145,22 +145,22 @@ fn with_scripts(
     let step_s = scenario.spec().step_s;
     scenario.edited(|spec| {
         spec.name = format!("{}-escape", spec.name.chars().take(190).collect::<String>());
-        spec.about = format!("An escape from {}, found {}.", scenario.spec().name, found_by.in_words());
+        spec.about = format!("An escape from {}, found {}.", scenario.spec().name, found_by.description());
         for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
-            follow(vehicle, pieces(each, step_s));
+            set_script(vehicle, script_pieces(each, step_s));
         }
     })
 }
 
 /// A script in place of who drives.
-pub(super) fn set_script(vehicle: &mut VehicleSpec, pieces: Pieces) {
+pub(super) fn set_script(vehicle: &mut VehicleSpec, pieces: PiecewiseAcceleration) {
     vehicle.driver = Driver::Profile(LeadProfile::Pieces(pieces));
     // A script has no delay; the profile already is what the vehicle does.
     (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
 }
 
 /// A script that holds an acceleration in each step.
-pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> Pieces {
+pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> PiecewiseAcceleration {
     let (mut from_s, mut accel_mps2): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for (step, &held) in each_mps2.iter().enumerate() {
         if accel_mps2.last() != Some(&held) {
@@ -168,5 +168,5 @@ pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> Pieces {
             accel_mps2.push(held);
         }
     }
-    Pieces { from_s, accel_mps2 }
+    PiecewiseAcceleration { from_s, accel_mps2 }
 }

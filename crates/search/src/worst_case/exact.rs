@@ -15,13 +15,13 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::attack::{Aim, Attack, AttackError, AttackMethod};
+use super::attack::{AttackObjective, Attack, AttackError, AttackMethod};
 use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
-use super::leader_program::{Ask, cheapest};
+use super::leader_program::{LeaderConstraint, cheapest_profile};
 use super::sequential;
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Whether the first vehicle under test does at once and without noise what it decides.
@@ -44,30 +44,30 @@ const MARGINS_BEYOND_BOUND_M: [f64; 5] = [1e-4, 0.02, 0.1, 0.4, 1.5];
 pub(super) fn find_mildest(
     bench: &mut ProfileSimulator<'_>,
     ttc_s: f64,
-    aim: Aim,
+    aim: AttackObjective,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
     let options_see_truth = bench.options.estimator == EstimatorKind::Truth;
     let is_quiet = bench.scenario.vehicles().iter().all(|vehicle| vehicle.acceleration_noise_mps2 == 0.0);
     // Perhaps the leader need not brake at all.
-    let coasting = vec![0.0; bench.cells()];
+    let coasting = vec![0.0; bench.cell_count()];
     if bench.simulate(std::slice::from_ref(&coasting))?.iter().any(ProfileOutcome::collides) {
         return Ok(Some(bench.report(&coasting, 0.0, AttackMethod::Exact)?));
     }
-    let hits_behind = behind(bench, ttc_s)?;
-    let mut search = Enumeration { bench, ttc_s, aim, beyond_m: 0.0, hits_behind: &hits_behind };
+    let hits_behind = firings_with_rear_collision(bench, ttc_s)?;
+    let mut search = Enumeration { bench, ttc_s, objective: aim, beyond_m: 0.0, hits_behind: &hits_behind };
     let mut node = None;
     for (widened, beyond_m) in MARGINS_BEYOND_BOUND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
         // The first margin decides when the brake fires; later ones only make sure that a filter sees it too.
         let found = match node {
-            None => search.cheapest()?,
-            Some(node) => match search.rank(node) {
+            None => search.find_cheapest()?,
+            Some(node) => match search.solve_relaxation(node) {
                 Some(found) => Some(found),
-                None => search.cheapest()?,
+                None => search.find_cheapest()?,
             },
         };
-        let Some(RankedBox { node: cheapest, profile, .. }) = found else { break };
+        let Some(RankedBox { firing_box: cheapest, profile, .. }) = found else { break };
         node = Some(cheapest);
         let method =
             if widened == 0 && options_see_truth && is_quiet { AttackMethod::Exact } else { AttackMethod::Widened };
@@ -89,7 +89,7 @@ fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> 
     let scenario = bench.scenario;
     let step_s = scenario.spec().step_s;
     let brake_mps2 = scenario.usable_brake_mps2(1);
-    let delay = delay_steps(scenario);
+    let delay = ego_delay_steps(scenario);
     let firing = |step: usize| {
         scenario.edited(|spec| {
             if let Some(leader) = spec.vehicles.first_mut() {
@@ -98,7 +98,7 @@ fn firings_with_rear_collision(bench: &mut ProfileSimulator<'_>, ttc_s: f64) -> 
             }
             if let Some(ego) = spec.vehicles.get_mut(1) {
                 let from_s = vec![(step + delay) as f64 * step_s];
-                ego.driver = Driver::Profile(LeadProfile::Pieces(Pieces { from_s, accel_mps2: vec![-brake_mps2] }));
+                ego.driver = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2: vec![-brake_mps2] }));
                 (ego.reaction_delay_s, ego.actuator_delay_s) = (0.0, 0.0);
             }
         })
@@ -132,7 +132,7 @@ struct RankedBox {
 impl Ord for RankedBox {
     fn cmp(&self, other: &Self) -> Ordering {
         // The heap yields the greatest: the cheapest, and of equals the one furthest divided.
-        other.cost.total_cmp(&self.cost).then(self.node.fires[0].cmp(&other.node.fires[0]))
+        other.cost.total_cmp(&self.cost).then(self.firing_box.firing_steps[0].cmp(&other.firing_box.firing_steps[0]))
     }
 }
 
@@ -153,7 +153,7 @@ impl Eq for RankedBox {}
 struct Enumeration<'e, 'a> {
     bench: &'e mut ProfileSimulator<'a>,
     ttc_s: f64,
-    objective: Aim,
+    objective: AttackObjective,
     beyond_m: f64,
     hits_behind: &'e [bool],
 }
@@ -164,17 +164,17 @@ impl Enumeration<'_, '_> {
         let all = [0, steps.saturating_sub(1)];
         let mut open = BinaryHeap::new();
         for touches in [None, Some([1, steps])] {
-            open.extend(self.rank(FiringBox { fires: all, touches }));
+            open.extend(self.solve_relaxation(FiringBox { firing_steps: all, contact_steps: touches }));
         }
         while let Some(cheapest) = open.pop().filter(|_| self.bench.programs < MAX_PROGRAMS) {
             // What costs no more than any relaxation and collides is the answer, whatever its box.
-            let Some(halves) = halves(cheapest.node) else { return Ok(Some(cheapest)) };
+            let Some(halves) = split_box(cheapest.firing_box) else { return Ok(Some(cheapest)) };
             let tried = self.bench.simulate(std::slice::from_ref(&cheapest.profile))?;
             if tried.iter().any(ProfileOutcome::collides) {
                 return Ok(Some(cheapest));
             }
             for half in halves {
-                open.extend(self.rank(half));
+                open.extend(self.solve_relaxation(half));
             }
         }
         Ok(None)
@@ -182,38 +182,38 @@ impl Enumeration<'_, '_> {
 
     /// The cheapest profile of a relaxed box; none if it is empty.
     fn solve_relaxation(&mut self, node: FiringBox) -> Option<RankedBox> {
-        let [first, last] = node.fires;
+        let [first, last] = node.firing_steps;
         let mut asked = Vec::new();
-        match node.touches {
+        match node.contact_steps {
             None => {
                 // Shrink to the firings that matter.
                 let hits = self.hits_behind.get(first..=last)?;
                 let (from, to) = (hits.iter().position(|hit| *hit)?, hits.iter().rposition(|hit| *hit)?);
                 if (from, to) != (0, last - first) {
-                    return self.rank(FiringBox { fires: [first + from, first + to], touches: None });
+                    return self.solve_relaxation(FiringBox { firing_steps: [first + from, first + to], contact_steps: None });
                 }
             }
             Some([earliest, latest]) => {
                 let touches = earliest.max(first)..=latest;
-                let reach_m = touches.map(|at| self.braking_m(last, at) - self.leader_rear_m(at));
+                let reach_m = touches.map(|at| self.braking_ego_front_m(last, at) - self.leader_rear_m(at));
                 let reach_m = reach_m.reduce(f64::max)?;
-                asked.push(Ask { step: latest, theta_s: 0.0, bound_m: reach_m - self.beyond_m, at_most: true });
+                asked.push(LeaderConstraint { step: latest, theta_s: 0.0, bound_m: reach_m - self.beyond_m, is_upper_bound: true });
             }
         }
-        asked.push(self.guard(last, true));
-        asked.extend((self.bench.cell..first).step_by(self.bench.cell).map(|step| self.guard(step, false)));
-        let (cost, profile) = cheapest(self.bench, self.aim, &asked)?;
-        Some(RankedBox { cost, node, profile })
+        asked.push(self.guard_constraint(last, true));
+        asked.extend((self.bench.cell..first).step_by(self.bench.cell).map(|step| self.guard_constraint(step, false)));
+        let (cost, profile) = cheapest_profile(self.bench, self.objective, &asked)?;
+        Some(RankedBox { cost, firing_box: node, profile })
     }
 
     /// Whether the brake has fired by a step, or has not, as a bound on d + θ w of the leader.
-    fn guard_constraint(&self, step: usize, fired: bool) -> Ask {
+    fn guard_constraint(&self, step: usize, fired: bool) -> LeaderConstraint {
         let ego = &self.bench.scenario.vehicles()[1];
         let t = step as f64 * self.bench.scenario.spec().step_s;
         let gap_m = self.leader_rear_m(step) - (ego.position_m + ego.speed_mps * t);
         let closing_mps = ego.speed_mps - self.bench.scenario.vehicles()[0].speed_mps;
         let bound_m = self.ttc_s * closing_mps - gap_m - if fired { self.beyond_m } else { 0.0 };
-        Ask { step, theta_s: self.ttc_s, bound_m, at_most: fired }
+        LeaderConstraint { step, theta_s: self.ttc_s, bound_m, is_upper_bound: fired }
     }
 
     /// The leader's rear bumper if it coasts, in metres.
@@ -227,7 +227,7 @@ impl Enumeration<'_, '_> {
         let scenario = self.bench.scenario;
         let ego = &scenario.vehicles()[1];
         let step_s = scenario.spec().step_s;
-        let brakes_from = (fires + delay_steps(scenario)).min(at);
+        let brakes_from = (fires + ego_delay_steps(scenario)).min(at);
         let brake_mps2 = scenario.usable_brake_mps2(1);
         let braking_s = ((at - brakes_from) as f64 * step_s).min(ego.speed_mps / brake_mps2);
         let coasted_m = ego.speed_mps * brakes_from as f64 * step_s;
@@ -242,11 +242,11 @@ fn split_box(node: FiringBox) -> Option<[FiringBox; 2]> {
         [[first, middle], [middle + 1, last]]
     };
     let width = |[first, last]: [usize; 2]| last - first;
-    match node.touches {
-        Some(touches) if width(touches) > width(node.fires) => {
-            Some(split(touches).map(|touches| FiringBox { touches: Some(touches), ..node }))
+    match node.contact_steps {
+        Some(touches) if width(touches) > width(node.firing_steps) => {
+            Some(split(touches).map(|touches| FiringBox { contact_steps: Some(touches), ..node }))
         }
-        _ if width(node.fires) > 0 => Some(split(node.fires).map(|fires| FiringBox { fires, ..node })),
+        _ if width(node.firing_steps) > 0 => Some(split(node.firing_steps).map(|fires| FiringBox { firing_steps: fires, ..node })),
         _ => None,
     }
 }

@@ -5,9 +5,9 @@
 //! highest, lower the bounds of all others, drop those that cannot beat the best escape so far, and go on until nothing is
 //! left. If no escape is found, what is left of it is a proof.
 
-use super::multipliers::{Multipliers, Proof, ROUNDING_MARGIN};
-use super::program::{self, Answer, Grid, EscapeObjective, Wanted};
-use super::avoidance_problem::{Side, Situation};
+use super::multipliers::{Multipliers, DualProof, ROUNDING_MARGIN};
+use super::program::{self, ProgramOutcome, Grid, EscapeObjective, EscapeQuery};
+use super::avoidance_problem::{BoundSide, AvoidanceProblem};
 
 /// An escape of the model.
 #[derive(Debug, Clone)]
@@ -23,8 +23,8 @@ pub(super) struct ModelEscape {
 
 /// The state of a search.
 pub(super) struct FiringSearch<'a> {
-    situation: &'a Situation,
-    pub(super) proofs: Vec<Proof>,
+    situation: &'a AvoidanceProblem,
+    pub(super) proofs: Vec<DualProof>,
     /// What no escape with that firing exceeds, in metres.
     bounds_m: Vec<f64>,
     solved: Vec<bool>,
@@ -38,8 +38,8 @@ const MIN_GAP_GAIN_M: f64 = 2e-3;
 
 impl<'a> FiringSearch<'a> {
     /// Nothing solved yet.
-    pub(super) fn new(situation: &'a Situation) -> Self {
-        let firings = situation.firings();
+    pub(super) fn new(situation: &'a AvoidanceProblem) -> Self {
+        let firings = situation.firing_count();
         let mut search = Self {
             situation,
             proofs: Vec::new(),
@@ -47,9 +47,9 @@ impl<'a> FiringSearch<'a> {
             solved: vec![false; firings],
             best: None,
             programs: 0,
-            trouble: None,
+            solver_failure: None,
         };
-        Multipliers::of_start(situation).for_each(|multipliers| search.cut(multipliers));
+        Multipliers::for_initial_gaps(situation).for_each(|multipliers| search.cut(multipliers));
         if situation.follower.is_some() {
             // Where not even full braking makes the brake fire, there is nothing to solve.
             search.cut(Multipliers::for_firing(situation));
@@ -68,7 +68,7 @@ impl<'a> FiringSearch<'a> {
     pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
-            let Some(firing) = self.most_promising(self.floor_m()) else { return };
+            let Some(firing) = self.most_promising(self.min_useful_bound_m()) else { return };
             self.solved[firing] = true;
             self.solve(grid, firing);
             let escapes = self.best.as_ref().is_some_and(|best| best.gap_m > 0.0);
@@ -85,7 +85,7 @@ impl<'a> FiringSearch<'a> {
         escape.map_or(0.0, |best| {
             // What the grid costs against continuous time is not worth more programs on the same grid.
             let slack_m = (self.bounds_m[best.firing] - best.gap_m).max(0.0);
-            best.gap_m + slack_m + WORTH_M
+            best.gap_m + slack_m + MIN_GAP_GAIN_M
         })
     }
 
@@ -101,49 +101,49 @@ impl<'a> FiringSearch<'a> {
 
     /// Solves one program and learns from it.
     fn solve(&mut self, grid: &Grid, firing: usize) {
-        match self.answer(grid, firing, Side::Tight) {
-            Answer::Profile { gap_m, acceleration_mps2, multipliers } => {
+        match self.solve_program(grid, firing, BoundSide::Lower) {
+            ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
                     self.best = Some(ModelEscape { firing, gap_m, acceleration_mps2, grid: grid.clone() });
                 }
             }
-            Answer::Empty(multipliers) => self.cut(multipliers),
-            Answer::Trouble(status) => self.trouble = Some(status),
+            ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
+            ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
         }
         // That no profile is an escape from all of a box does not say that some member has none: that is another program.
         if self.situation.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
-            match self.answer(grid, firing, Side::Loose) {
-                Answer::Profile { multipliers, .. } | Answer::Empty(multipliers) => self.cut(multipliers),
-                Answer::Trouble(status) => self.trouble = Some(status),
+            match self.solve_program(grid, firing, BoundSide::Upper) {
+                ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
+                ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
             }
         }
     }
 
-    fn solve_program(&mut self, grid: &Grid, firing: usize, side: Side) -> Answer {
+    fn solve_program(&mut self, grid: &Grid, firing: usize, side: BoundSide) -> ProgramOutcome {
         self.programs += 1;
-        program::solve(self.situation, grid, firing, Wanted { objective: EscapeObjective::LargestGap, side })
+        program::solve(self.situation, grid, firing, EscapeQuery { objective: EscapeObjective::LargestGap, side })
     }
 
     /// An escape made smoother: for its firing, with half its smallest gap kept.
     pub(super) fn smooth(&self, best: &ModelEscape, objective: impl Fn(f64) -> EscapeObjective) -> Option<ModelEscape> {
-        let wanted = Wanted { objective: objective(0.5 * best.gap_m), side: Side::Tight };
+        let wanted = EscapeQuery { objective: objective(0.5 * best.gap_m), side: BoundSide::Lower };
         match program::solve(self.situation, &best.grid, best.firing, wanted) {
-            Answer::Profile { gap_m, acceleration_mps2, .. } => {
+            ProgramOutcome::Profile { gap_m, acceleration_mps2, .. } => {
                 Some(ModelEscape { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
             }
-            Answer::Empty(_) | Answer::Trouble(_) => None,
+            ProgramOutcome::Infeasible(_) | ProgramOutcome::SolverFailed(_) => None,
         }
     }
 
     /// Drops the firings that not even a standing ego brings about: up to some step, since the follower only comes closer.
     fn cut_unreachable_firings(&mut self) {
-        let stands_from = Multipliers::stands_from(self.situation);
+        let stands_from = Multipliers::standstill_step(self.situation);
         let empty = |firing: usize| {
-            let proof = Proof::new(self.situation, Multipliers::for_standstill(self.situation, firing, 1));
+            let proof = DualProof::new(self.situation, Multipliers::for_standstill(self.situation, firing, 1));
             proof.infimum(self.situation, firing, true) > ROUNDING_MARGIN
         };
-        let (mut below, mut above) = (stands_from, self.situation.never());
+        let (mut below, mut above) = (stands_from, self.situation.never_firing());
         while below < above {
             let middle = usize::midpoint(below, above);
             if empty(middle) { below = middle + 1 } else { above = middle }
@@ -155,8 +155,8 @@ impl<'a> FiringSearch<'a> {
 
     /// Lowers every bound that multipliers lower.
     fn cut(&mut self, multipliers: Multipliers) {
-        let proof = Proof::new(self.situation, multipliers);
-        let never = self.situation.never();
+        let proof = DualProof::new(self.situation, multipliers);
+        let never = self.situation.never_firing();
         let floor_m = self.best.as_ref().map_or(0.0, |best| best.gap_m.max(0.0));
         for (firing, bound_m) in self.bounds_m.iter_mut().enumerate() {
             // What cannot win any more need not be bounded better.

@@ -4,9 +4,9 @@
 //! [`super::program`]: -b H <= w⁺ - w <= 0, w >= -v₀, and accelerations of successive cells differ by at most the jerk
 //! times H. Everything asked of the leader at a step is a bound on d + θ w there.
 
-use super::attack::Aim;
+use super::attack::AttackObjective;
 use super::profile_simulator::ProfileSimulator;
-use crumple_quadratic::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
 /// The variable of the peak.
 const PEAK_VARIABLE: usize = 0;
@@ -22,9 +22,9 @@ pub(super) struct LeaderConstraint {
 }
 
 /// The cheapest profile that does what is asked, one acceleration a cell, and its cost; none if there is none.
-pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: Aim, asked: &[LeaderConstraint]) -> Option<(f64, Vec<f64>)> {
+pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: AttackObjective, asked: &[LeaderConstraint]) -> Option<(f64, Vec<f64>)> {
     bench.programs += 1;
-    let (all, cell_s, cell) = (bench.cells(), bench.cell_s(), bench.cell);
+    let (all, cell_s, cell) = (bench.cell_count(), bench.cell_s(), bench.cell);
     // After the last thing asked there is only easing off, within the jerk.
     let last = asked.iter().map(|ask| ask.step.div_ceil(cell)).max()?;
     let easing = bench.envelope.max_brake_mps2 / (bench.envelope.jerk_mps3 * cell_s);
@@ -42,29 +42,29 @@ pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: Aim, asked
         if j > 1 {
             travel.extend([(w(j - 1) + 1, -1.0), (w(j - 1), -0.5 * cell_s)]);
         }
-        cone.equal(&travel, 0.0);
-        cone.at_most(&change(j), 0.0);
+        cone.add_equality(&travel, 0.0);
+        cone.add_inequality(&change(j), 0.0);
         let mut brake = negative(&change(j));
-        cone.at_most(&brake, envelope.max_brake_mps2 * cell_s);
-        cone.at_most(&[(w(j), -1.0)], speed_mps);
+        cone.add_inequality(&brake, envelope.max_brake_mps2 * cell_s);
+        cone.add_inequality(&[(w(j), -1.0)], speed_mps);
         let mut jump = change(j);
         if j > 1 {
             jump.extend(negative(&change(j - 1)));
         }
         let most = envelope.jerk_mps3 * cell_s * cell_s;
-        cone.at_most(&jump, most);
-        cone.at_most(&negative(&jump), most);
-        if aim == Aim::LeastPeak {
+        cone.add_inequality(&jump, most);
+        cone.add_inequality(&negative(&jump), most);
+        if aim == AttackObjective::LeastPeak {
             brake.push((PEAK_VARIABLE, -cell_s));
-            cone.at_most(&brake, 0.0);
+            cone.add_inequality(&brake, 0.0);
             // Of all profiles with the least peak, a mild one.
-            cone.square(&change(j), 1e-3 / cell_s);
+            cone.add_squared_cost(&change(j), 1e-3 / cell_s);
         } else {
-            cone.square(&change(j), 1.0 / cell_s);
+            cone.add_squared_cost(&change(j), 1.0 / cell_s);
         }
     }
-    if aim == Aim::LeastPeak {
-        cone.cost(PEAK_VARIABLE, 1.0);
+    if aim == AttackObjective::LeastPeak {
+        cone.add_linear_cost(PEAK_VARIABLE, 1.0);
     }
     for ask in asked.iter().filter(|ask| ask.step > 0) {
         let j = ask.step.div_ceil(cell);
@@ -75,16 +75,16 @@ pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: Aim, asked
         if j > 1 {
             terms.extend([(w(j - 1) + 1, 1.0), (w(j - 1), ask.theta_s + into_s - of_after)]);
         }
-        if ask.at_most { cone.at_most(&terms, ask.bound_m) } else { cone.at_most(&negative(&terms), -ask.bound_m) }
+        if ask.is_upper_bound { cone.add_inequality(&terms, ask.bound_m) } else { cone.add_inequality(&negative(&terms), -ask.bound_m) }
     }
-    if asked.iter().any(|ask| ask.step == 0 && if ask.at_most { ask.bound_m < 0.0 } else { ask.bound_m > 0.0 }) {
+    if asked.iter().any(|ask| ask.step == 0 && if ask.is_upper_bound { ask.bound_m < 0.0 } else { ask.bound_m > 0.0 }) {
         return None;
     }
     if cells < all {
         let last = change(cells);
-        cone.at_most(&negative(&last), envelope.jerk_mps3 * cell_s * cell_s);
+        cone.add_inequality(&negative(&last), envelope.jerk_mps3 * cell_s * cell_s);
     }
-    let Solved::Optimal { at, .. } = cone.solve() else { return None };
+    let QuadraticSolution::Optimal { point: at, .. } = cone.solve() else { return None };
     let mut before = 0.0;
     let mut profile: Vec<f64> = (1..=cells)
         .map(|j| {
@@ -97,8 +97,8 @@ pub(super) fn cheapest_profile(bench: &mut ProfileSimulator<'_>, aim: Aim, asked
         .collect();
     profile.resize(all, 0.0);
     let cost = match aim {
-        Aim::LeastPeak => profile.iter().fold(0.0, |most: f64, a| most.max(-a)),
-        Aim::Mildest | Aim::Severest => profile.iter().map(|a| a * a * cell_s).sum(),
+        AttackObjective::LeastPeak => profile.iter().fold(0.0, |most: f64, a| most.max(-a)),
+        AttackObjective::Mildest | AttackObjective::Severest => profile.iter().map(|a| a * a * cell_s).sum(),
     };
     Some((cost, profile))
 }

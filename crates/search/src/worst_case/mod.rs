@@ -43,16 +43,16 @@ mod avoidance_problem;
 mod escape;
 
 pub use attack::{
-    Aim, Attack, AttackError, AttackMethod, AttackResult, Envelope, MOST_VEHICLE_STEPS, MAX_TOTAL_VEHICLE_STEPS,
+    AttackObjective, Attack, AttackError, AttackMethod, AttackResult, Envelope, MAX_VEHICLE_STEPS, MAX_TOTAL_VEHICLE_STEPS,
     attack,
 };
-pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MAX_EGO_STEPS, MOST_EGOS, avoid, avoid_all, certify};
+pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MAX_EGO_STEPS, MAX_EGOS, avoid, avoid_box, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-pub use certificate::{certificate_about, is_about, is_exactly};
-pub use closed_loop::Effort;
-pub(crate) use descent::{Descent, Limits, Pace};
+pub use certificate::{build_certificate, covers_scenario, matches_box};
+pub use closed_loop::SearchEffort;
+pub(crate) use descent::{TrustRegionDescent, VariableBounds, StepSchedule};
 pub use emergency_brake::EmergencyBrake;
-pub use scenario_box::{Family, ScenarioBoxError, FieldRange, Ranges};
-pub use reason::Reason;
+pub use scenario_box::{ScenarioBox, ScenarioBoxError, FieldRange, ScenarioRanges};
+pub use reason::UndecidedReason;
 pub use report::AttackReport;
 pub use escape::{Escape, FoundBy};

@@ -6,7 +6,7 @@
 //! every measurable a within the limits is the integral of min(-b q, a q), where q is the coefficient of a at each moment,
 //! linear between the instants that carry a multiplier. The bound holds for every control grid and every controller.
 
-use super::avoidance_problem::{Side, Situation};
+use super::avoidance_problem::{BoundSide, AvoidanceProblem};
 
 /// An instant, in steps, and its multiplier.
 pub(super) type WeightedInstant = (usize, f64);
@@ -28,15 +28,15 @@ const NEGLIGIBLE_SHARE: f64 = 1e-9;
 
 impl Multipliers {
     /// No multipliers.
-    pub(super) fn zero(situation: &Situation) -> Self {
+    pub(super) fn zero(situation: &AvoidanceProblem) -> Self {
         let egos = situation.egos.len();
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
     /// Only that the gaps were no larger at the start: one for each of them.
-    pub(super) fn for_initial_gaps(situation: &Situation) -> impl Iterator<Item = Self> {
+    pub(super) fn for_initial_gaps(situation: &AvoidanceProblem) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
-        let none = Self::none(situation);
+        let none = Self::zero(situation);
         let front = Self { front: first(), ..none.clone() };
         let rear = situation.follower.as_ref().map(|_| Self { rear: first(), ..none.clone() });
         let between = (0..none.between.len()).map(move |pair| {
@@ -48,12 +48,12 @@ impl Multipliers {
     }
 
     /// Only that the brake fires.
-    pub(super) fn for_firing(situation: &Situation) -> Self {
-        Self { fired: 1.0, ..Self::none(situation) }
+    pub(super) fn for_firing(situation: &AvoidanceProblem) -> Self {
+        Self { fired: 1.0, ..Self::zero(situation) }
     }
 
     /// The first step at which a last ego that brakes fully stands.
-    pub(super) fn standstill_step(situation: &Situation) -> usize {
+    pub(super) fn standstill_step(situation: &AvoidanceProblem) -> usize {
         situation.egos.last().map_or(0, |ego| {
             let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
             ((braking_s / situation.step_s).ceil() as usize).min(situation.steps)
@@ -64,13 +64,13 @@ impl Multipliers {
     ///
     /// With φ = 1 at τ the coefficient is q(t) = t_τ - t + θ; subtracting the spacing at every so many steps from standstill
     /// on keeps it near zero there, and the closer the steps, the nearer.
-    pub(super) fn for_standstill(situation: &Situation, firing: usize, spacing: usize) -> Self {
+    pub(super) fn for_standstill(situation: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
         let mut multipliers = Self::for_firing(situation);
         let theta_s = situation.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
         let over_s = spacing as f64 * situation.step_s;
         let mut list = vec![(firing, theta_s + 0.5 * over_s)];
         let mut step = firing;
-        while step > Self::stands_from(situation) + spacing {
+        while step > Self::standstill_step(situation) + spacing {
             step -= spacing;
             list.push((step, over_s));
         }
@@ -113,11 +113,11 @@ pub(super) struct DualProof {
 
 impl DualProof {
     /// Prepares multipliers.
-    pub(super) fn new(situation: &Situation, multipliers: Multipliers) -> Self {
+    pub(super) fn new(situation: &AvoidanceProblem, multipliers: Multipliers) -> Self {
         let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); situation.egos.len()];
         let mut constant = 0.0;
         let mut weight = 0.0;
-        let side = Side::Loose;
+        let side = BoundSide::Upper;
         let last = situation.egos.len().saturating_sub(1);
         for &(step, value) in &multipliers.front {
             kinks[0].push((step, value, 0.0));
@@ -159,10 +159,10 @@ impl DualProof {
     }
 
     /// The infimum of L if the brake fires at step `firing`, or, without `fired`, then or later.
-    pub(super) fn infimum(&self, situation: &Situation, firing: usize, fired: bool) -> f64 {
+    pub(super) fn infimum(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let mut total = self.constant;
         for &(step, value) in &self.multipliers.rear {
-            total -= value * situation.rear_slack_m(firing, step, Side::Loose);
+            total -= value * situation.rear_slack_m(firing, step, BoundSide::Upper);
         }
         let mut kink = None;
         if let Some(follower) = &situation.follower
@@ -170,25 +170,25 @@ impl DualProof {
             && self.uses_firing()
         {
             let value = self.multipliers.fired;
-            total -= value * situation.fired_slack_m(firing, Side::Loose);
+            total -= value * situation.fired_slack_m(firing, BoundSide::Upper);
             kink = Some((firing, value, value * follower.ttc_s));
         }
         let last = situation.egos.len().saturating_sub(1);
         for (index, (ego, kinks)) in situation.egos.iter().zip(&self.kinks).enumerate() {
             let extra = kink.filter(|_| index == last);
-            total += least(kinks, extra, situation.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
+            total += min_integral(kinks, extra, situation.step_s, [ego.max_brake_mps2, ego.max_accel_mps2]);
         }
         total
     }
 
     /// By how much the infimum exceeds what it is at most for a profile that keeps every gap at `gap_m`: where it does at all, there is
     /// none.
-    pub(super) fn excess(&self, situation: &Situation, firing: usize, fired: bool, gap_m: f64) -> f64 {
+    pub(super) fn excess(&self, situation: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
         self.infimum(situation, firing, fired) + gap_m * self.weight
     }
 
     /// What the smallest gap of an escape cannot exceed, in metres; minus infinity if there is none at all.
-    pub(super) fn gap_bound_m(&self, situation: &Situation, firing: usize, fired: bool) -> f64 {
+    pub(super) fn gap_bound_m(&self, situation: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let infimum = self.infimum(situation, firing, fired);
         if infimum > ROUNDING_MARGIN && self.weight <= 1e-9 * infimum {
             return f64::NEG_INFINITY;

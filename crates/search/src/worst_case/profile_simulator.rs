@@ -1,10 +1,10 @@
 //! Simulation of a leader's braking profiles, with a count of what was spent.
 
 use super::attack::{Attack, AttackError, AttackMethod, Envelope};
-use super::escape::pieces;
-use crumple_core::observer::{Observer, Progress};
+use super::escape::script_pieces;
+use crumple_core::observer::{Observer, RunProgress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch};
 
 /// Where profiles are tried out.
 pub(super) struct ProfileSimulator<'a> {
@@ -16,7 +16,7 @@ pub(super) struct ProfileSimulator<'a> {
     pub(super) evaluations: usize,
     pub(super) programs: usize,
     budget: usize,
-    observer: &'a dyn Observer<Progress>,
+    observer: &'a dyn Observer<RunProgress>,
 }
 
 /// Outcome of a brake profile.
@@ -37,7 +37,7 @@ impl<'a> ProfileSimulator<'a> {
         options: &'a RunOptions,
         envelope: Envelope,
         budget: usize,
-        observer: &'a dyn Observer<Progress>,
+        observer: &'a dyn Observer<RunProgress>,
     ) -> Self {
         let cell = (0.1 / scenario.spec().step_s).round().max(1.0) as usize;
         Self { scenario, options, envelope, cell, evaluations: 0, programs: 0, budget, observer }
@@ -55,7 +55,7 @@ impl<'a> ProfileSimulator<'a> {
 
     /// The scenario with a profile, one acceleration a cell, as the leader's script.
     pub(super) fn with_leader_script(&self, cells_mps2: &[f64]) -> Result<Scenario, InvalidField> {
-        let profile = LeadProfile::Pieces(pieces(cells_mps2, self.cell_s()));
+        let profile = LeadProfile::Pieces(script_pieces(cells_mps2, self.cell_s()));
         self.scenario.edited(|spec| {
             if let Some(leader) = spec.vehicles.first_mut() {
                 leader.driver = Driver::Profile(profile);
@@ -65,14 +65,14 @@ impl<'a> ProfileSimulator<'a> {
 
     /// Simulates many profiles.
     pub(super) fn simulate(&mut self, profiles: &[Vec<f64>]) -> Result<Vec<ProfileOutcome>, AttackError> {
-        let scripted = profiles.iter().map(|cells| self.scripted(cells)).collect::<Result<Vec<_>, _>>()?;
+        let scripted = profiles.iter().map(|cells| self.with_leader_script(cells)).collect::<Result<Vec<_>, _>>()?;
         let runs = scripted
             .iter()
             .map(|scenario| Run::new(scenario, self.options.clone()))
             .collect::<Result<Vec<_>, RunError>>()?;
         self.evaluations += profiles.len();
-        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::of(&simulated));
-        self.observer.notify(&Progress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
+        let trials = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| ProfileOutcome::from_simulated(&simulated));
+        self.observer.notify(&RunProgress { done: self.evaluations as u64, total: Some(self.budget as u64) })?;
         Ok(trials)
     }
 
@@ -83,13 +83,13 @@ impl<'a> ProfileSimulator<'a> {
         predicted_margin_m: f64,
         method: AttackMethod,
     ) -> Result<Attack, AttackError> {
-        let scenario = self.scripted(cells_mps2)?.edited(|spec| {
+        let scenario = self.with_leader_script(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
             spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);
         })?;
         let run = Run::new(&scenario, self.options.clone())?;
         self.evaluations += 1;
-        let trial = ProfileOutcome::of(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
+        let trial = ProfileOutcome::from_simulated(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
         Ok(Attack {
             outcome: trial.outcome.clone(),
             effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
@@ -107,7 +107,7 @@ impl<'a> ProfileSimulator<'a> {
 impl ProfileOutcome {
     /// The margin is the smallest gap, or, so that it goes on falling smoothly beyond contact, minus v²/10 of the impact;
     /// where a controller fails, that of an impact faster than there are any.
-    pub(super) fn from_simulated(simulated: &Simulated) -> Self {
+    pub(super) fn from_simulated(simulated: &SimulationResult) -> Self {
         let depth_m = |impact_mps: f64| impact_mps.powi(2) / (2.0 * IMPACT_DECELERATION_MPS2);
         let margin_m = match &simulated.outcome {
             Outcome::ControllerFailed(_) => -depth_m(MAX_IMPACT_SPEED_MPS),

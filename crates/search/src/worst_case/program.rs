@@ -17,8 +17,8 @@
 //! so nothing need say that the brake has not fired before τ.
 
 use super::multipliers::Multipliers;
-use super::avoidance_problem::{Side, Situation};
-use crumple_quadratic::{QuadraticProgram, Solved};
+use super::avoidance_problem::{BoundSide, AvoidanceProblem};
+use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
 /// Instants, in steps, between which accelerations are held.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +42,7 @@ pub(super) enum EscapeObjective {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EscapeQuery {
     pub(super) objective: EscapeObjective,
-    pub(super) side: Side,
+    pub(super) side: BoundSide,
 }
 
 /// What became of a program.
@@ -69,7 +69,7 @@ const GUARD_MARGIN_M: f64 = 1e-5;
 impl Grid {
     /// Cells of `cell` steps, five times as long once the leader stands for good and nothing urgent can happen; the last one
     /// may be shorter.
-    pub(super) fn new(situation: &Situation, cell: usize) -> Self {
+    pub(super) fn new(situation: &AvoidanceProblem, cell: usize) -> Self {
         let calm = situation.leader_standstill_step();
         let mut steps = Vec::new();
         let mut step = 0;
@@ -98,15 +98,15 @@ enum ConstraintRow {
 }
 
 /// The largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
-pub(super) fn solve(situation: &Situation, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
+pub(super) fn solve(situation: &AvoidanceProblem, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
     let mut program = EscapeProgram::new(situation, grid, wanted);
-    program.motion();
-    program.gaps(firing);
-    program.objective();
-    let (at, multipliers) = match program.cone.solve() {
-        Solved::Optimal { at, multipliers } => (at, multipliers),
-        Solved::Infeasible(multipliers) => return ProgramOutcome::Empty(program.multipliers(&multipliers)),
-        Solved::Trouble(status) => return ProgramOutcome::Trouble(status),
+    program.add_motion_rows();
+    program.add_gap_rows(firing);
+    program.set_objective();
+    let (at, multipliers) = match program.quadratic_program.solve() {
+        QuadraticSolution::Optimal { point: at, multipliers } => (at, multipliers),
+        QuadraticSolution::Infeasible(multipliers) => return ProgramOutcome::Infeasible(program.multipliers(&multipliers)),
+        QuadraticSolution::SolverFailed(status) => return ProgramOutcome::SolverFailed(status),
     };
     let acceleration_mps2 = (0..situation.egos.len()).map(|ego| program.accelerations(&at, ego)).collect();
     let gap_m = at.first().copied().unwrap_or(f64::NAN);
@@ -114,7 +114,7 @@ pub(super) fn solve(situation: &Situation, grid: &Grid, firing: usize, wanted: E
 }
 
 struct EscapeProgram<'a> {
-    situation: &'a Situation,
+    situation: &'a AvoidanceProblem,
     grid: &'a Grid,
     query: EscapeQuery,
     quadratic_program: QuadraticProgram,
@@ -125,9 +125,9 @@ struct EscapeProgram<'a> {
 const GAP_VARIABLE: usize = 0;
 
 impl<'a> EscapeProgram<'a> {
-    fn new(situation: &'a Situation, grid: &'a Grid, wanted: EscapeQuery) -> Self {
-        let variables = 1 + 2 * situation.egos.len() * grid.cells();
-        Self { situation, grid, wanted, cone: QuadraticProgram::new(variables), rows: Vec::new() }
+    fn new(situation: &'a AvoidanceProblem, grid: &'a Grid, wanted: EscapeQuery) -> Self {
+        let variables = 1 + 2 * situation.egos.len() * grid.cell_count();
+        Self { situation, grid, query: wanted, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
     /// The variable w of an ego at a grid instant after the first; d is the next one.
@@ -142,37 +142,37 @@ impl<'a> EscapeProgram<'a> {
 
     /// The acceleration in the cell before an instant, times its length.
     fn speed_change_terms(&self, ego: usize, instant: usize) -> Vec<(usize, f64)> {
-        let w = self.speed(ego, instant);
-        if instant > 1 { vec![(w, 1.0), (self.speed(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
+        let w = self.speed_variable(ego, instant);
+        if instant > 1 { vec![(w, 1.0), (self.speed_variable(ego, instant - 1), -1.0)] } else { vec![(w, 1.0)] }
     }
 
     fn add_inequality(&mut self, row: ConstraintRow, terms: &[(usize, f64)], bound: f64) {
-        self.cone.at_most(terms, bound);
+        self.quadratic_program.add_inequality(terms, bound);
         self.rows.push(row);
     }
 
     fn add_motion_rows(&mut self) {
-        let side = self.wanted.side;
-        for instant in 1..=self.grid.cells() {
+        let side = self.query.side;
+        for instant in 1..=self.grid.cell_count() {
             let cell_s = self.cell_s(instant);
             for (ego, limits) in self.situation.egos.iter().enumerate() {
-                let w = self.speed(ego, instant);
+                let w = self.speed_variable(ego, instant);
                 let mut travel = vec![(w + 1, 1.0), (w, -0.5 * cell_s)];
                 if instant > 1 {
-                    let before = self.speed(ego, instant - 1);
+                    let before = self.speed_variable(ego, instant - 1);
                     travel.extend([(before + 1, -1.0), (before, -0.5 * cell_s)]);
                 }
-                self.cone.equal(&travel, 0.0);
-                let change = self.change(ego, instant);
+                self.quadratic_program.add_equality(&travel, 0.0);
+                let change = self.speed_change_terms(ego, instant);
                 if self.grid.steps[instant - 1] < limits.dead_steps {
-                    self.cone.equal(&change, 0.0);
+                    self.quadratic_program.add_equality(&change, 0.0);
                 } else {
                     let back: Vec<_> = change.iter().map(|&(variable, c)| (variable, -c)).collect();
-                    self.at_most(ConstraintRow::Other, &change, limits.max_accel_mps2 * cell_s);
-                    self.at_most(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
+                    self.add_inequality(ConstraintRow::Other, &change, limits.max_accel_mps2 * cell_s);
+                    self.add_inequality(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
                 }
                 let step = self.grid.steps[instant];
-                self.at_most(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
+                self.add_inequality(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.situation.speed_slack_mps(ego, side));
             }
         }
     }
@@ -181,7 +181,7 @@ impl<'a> EscapeProgram<'a> {
     fn acceleration_change_terms(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
         let scaled = |instant: usize, by: f64| {
             let cell_s = self.cell_s(instant);
-            self.change(ego, instant).into_iter().map(move |(variable, c)| (variable, by * c / cell_s))
+            self.speed_change_terms(ego, instant).into_iter().map(move |(variable, c)| (variable, by * c / cell_s))
         };
         let mut terms: Vec<_> = scaled(instant, 1.0).collect();
         let mut apart_s = 0.5 * self.cell_s(instant);
@@ -193,35 +193,35 @@ impl<'a> EscapeProgram<'a> {
     }
 
     fn add_gap_rows(&mut self, firing: usize) {
-        let (situation, side) = (self.situation, self.wanted.side);
-        self.at_most(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], situation.initial_gap_m(side));
+        let (situation, side) = (self.situation, self.query.side);
+        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], situation.initial_gap_m(side));
         let last = situation.egos.len() - 1;
         let (leader_rests, follower_rests) = (situation.leader_standstill_step(), situation.follower_standstill_step(firing));
         // Over a box the loose side lets the slowest member lose the speed of the fastest one: it may reverse.
-        let may_reverse = situation.is_box && side == Side::Loose;
-        for instant in 1..=self.grid.cells() {
+        let may_reverse = situation.is_box && side == BoundSide::Upper;
+        for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
-            let d = |program: &Self, ego: usize| program.speed(ego, instant) + 1;
+            let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
             // Behind a standing leader the last instant says it all, since no vehicle reverses; likewise ahead of a
             // follower that stands.
-            if step <= leader_rests || instant == self.grid.cells() || may_reverse {
+            if step <= leader_rests || instant == self.grid.cell_count() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
-                self.at_most(ConstraintRow::Front(step), &terms, situation.front_slack_m(step, side));
+                self.add_inequality(ConstraintRow::Front(step), &terms, situation.front_slack_m(step, side));
             }
             for ahead in 0..last {
                 let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
-                self.at_most(ConstraintRow::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
+                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, situation.pair_slack_m(ahead, step, side));
             }
             if situation.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
-                self.at_most(ConstraintRow::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
+                self.add_inequality(ConstraintRow::Rear(step), &terms, situation.rear_slack_m(firing, step, side));
             }
         }
         if let Some(follower) = &situation.follower
-            && firing < situation.never()
+            && firing < situation.never_firing()
         {
-            let terms = self.guard(firing, follower.ttc_s);
-            self.at_most(ConstraintRow::Fired, &terms, situation.fired_slack_m(firing, side) - GUARD_MARGIN_M);
+            let terms = self.guard_terms(firing, follower.ttc_s);
+            self.add_inequality(ConstraintRow::Fired, &terms, situation.fired_slack_m(firing, side) - GUARD_MARGIN_M);
         }
     }
 
@@ -236,28 +236,28 @@ impl<'a> EscapeProgram<'a> {
         let share = into_s / self.cell_s(instant);
         // w(s) = w + (w⁺ - w) s / H and d(s) = d + w s + (w⁺ - w) s² / 2 H.
         let of_after = theta_s * share + 0.5 * into_s * share;
-        let mut terms = vec![(self.speed(last, instant), of_after)];
+        let mut terms = vec![(self.speed_variable(last, instant), of_after)];
         if instant > 1 {
-            let before = self.speed(last, instant - 1);
+            let before = self.speed_variable(last, instant - 1);
             terms.extend([(before + 1, 1.0), (before, theta_s + into_s - of_after)]);
         }
         terms
     }
 
     fn set_objective(&mut self) {
-        let (least_m, of_jumps) = match self.wanted.objective {
-            EscapeObjective::LargestGap => return self.cone.cost(GAP_VARIABLE, -1.0),
+        let (least_m, of_jumps) = match self.query.objective {
+            EscapeObjective::LargestGap => return self.quadratic_program.add_linear_cost(GAP_VARIABLE, -1.0),
             EscapeObjective::GentlestEscape(least_m) => (least_m, false),
             EscapeObjective::LeastJerk(least_m) => (least_m, true),
         };
-        self.at_most(ConstraintRow::Other, &[(GAP_VARIABLE, -1.0)], -least_m);
-        for instant in 1..=self.grid.cells() {
+        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, -1.0)], -least_m);
+        for instant in 1..=self.grid.cell_count() {
             for ego in 0..self.situation.egos.len() {
                 if of_jumps {
-                    let (terms, apart_s) = self.jump(ego, instant);
-                    self.cone.square(&terms, 1.0 / apart_s);
+                    let (terms, apart_s) = self.acceleration_change_terms(ego, instant);
+                    self.quadratic_program.add_squared_cost(&terms, 1.0 / apart_s);
                 } else {
-                    self.cone.square(&self.change(ego, instant), 1.0 / self.cell_s(instant));
+                    self.quadratic_program.add_squared_cost(&self.speed_change_terms(ego, instant), 1.0 / self.cell_s(instant));
                 }
             }
         }
@@ -266,14 +266,14 @@ impl<'a> EscapeProgram<'a> {
     /// The accelerations of a solution, within the limits whatever the solver's accuracy.
     fn accelerations(&self, at: &[f64], ego: usize) -> Vec<f64> {
         let limits = &self.situation.egos[ego];
-        let lowest_mps = -self.situation.speed_slack_mps(ego, Side::Tight);
+        let lowest_mps = -self.situation.speed_slack_mps(ego, BoundSide::Lower);
         let mut before = 0.0;
-        let cells = 1..=self.grid.cells();
+        let cells = 1..=self.grid.cell_count();
         let of_cell = cells.map(|instant| {
             if self.grid.steps[instant - 1] < limits.dead_steps {
                 return 0.0;
             }
-            let wanted = at.get(self.speed(ego, instant)).copied().unwrap_or(before);
+            let wanted = at.get(self.speed_variable(ego, instant)).copied().unwrap_or(before);
             // A vehicle that hardly moves stands.
             let wanted = if wanted - lowest_mps < STANDSTILL_SPEED_MPS { lowest_mps } else { wanted };
             let cell_s = self.cell_s(instant);
@@ -286,7 +286,7 @@ impl<'a> EscapeProgram<'a> {
 
     /// The multipliers of the rows that a proof may use.
     fn multipliers(&self, values: &[f64]) -> Multipliers {
-        let mut multipliers = Multipliers::none(self.situation);
+        let mut multipliers = Multipliers::zero(self.situation);
         for (row, &value) in self.rows.iter().zip(values) {
             match *row {
                 ConstraintRow::Front(step) => multipliers.front.push((step, value)),

@@ -42,7 +42,7 @@ pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
             ScanSize { depths: 6, lengths: 16, onsets: 3, forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall] }
         }
     };
-    let (cells, most) = (bench.cells(), bench.envelope.max_brake_mps2);
+    let (cells, most) = (bench.cell_count(), bench.envelope.max_brake_mps2);
     // From 0.4 s to the whole duration, evenly on a logarithmic scale.
     let shortest = (0.4 / bench.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
@@ -94,6 +94,6 @@ impl Pulse {
             before = wanted.clamp(before - most, before + most);
             before
         };
-        (0..bench.cells()).map(&mut held).collect()
+        (0..bench.cell_count()).map(&mut held).collect()
     }
 }

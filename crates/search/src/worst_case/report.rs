@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Aim, AttackMethod, AttackResult};
+use super::{AttackObjective, AttackMethod, AttackResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome};
 
@@ -50,12 +50,12 @@ impl AttackReport {
         scenario: &str,
         controller: &NamedController,
         estimator: EstimatorKind,
-        aim: Aim,
+        aim: AttackObjective,
         result: &AttackResult,
     ) -> Self {
-        let found = result.found.as_ref();
+        let found = result.attack.as_ref();
         // A run that its controller ended has no margin, and is no optimum of anything.
-        let answered = found.filter(|attack| attack.outcome.failed().is_none());
+        let answered = found.filter(|attack| attack.outcome.failed_controller().is_none());
         Self {
             scenario: scenario.to_owned(),
             controller: controller.name.clone(),

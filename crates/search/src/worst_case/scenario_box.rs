@@ -83,9 +83,9 @@ impl ScenarioBoxError {
         let last_of = |field: &str| ranges.ranges.iter().rposition(|range| range.field == field);
         let (index, key) = match self {
             Self::Version(_) => return "version".to_owned(),
-            Self::Field { field } => (of(field), ".field"),
-            Self::Twice { field } => (last_of(field), ".field"),
-            Self::Range { field, low, .. } => (of(field), if low.is_finite() { ".high" } else { ".low" }),
+            Self::UnsupportedField { field } => (of(field), ".field"),
+            Self::DuplicateField { field } => (last_of(field), ".field"),
+            Self::InvalidRange { field, low, .. } => (of(field), if low.is_finite() { ".high" } else { ".low" }),
             Self::Scenario(invalid) => (of(&invalid.field), ""),
         };
         index.map_or_else(|| "ranges".to_owned(), |index| format!("ranges[{index}]{key}"))
@@ -111,17 +111,17 @@ impl ScenarioBox {
         let [centre, least, most] = &mut specs;
         for (index, FieldRange { field, low, high }) in ranges.ranges.iter().enumerate() {
             if ranges.ranges.iter().take(index).any(|before| before.field == *field) {
-                return Err(ScenarioBoxError::Twice { field: field.clone() });
+                return Err(ScenarioBoxError::DuplicateField { field: field.clone() });
             }
             if !(low.is_finite() && high.is_finite() && low <= high) {
-                return Err(ScenarioBoxError::Range { field: field.clone(), low: *low, high: *high });
+                return Err(ScenarioBoxError::InvalidRange { field: field.clone(), low: *low, high: *high });
             }
             // A leader that brakes harder is further back: the ends of a box are those of positions and speeds.
             let turned = field.ends_with("rate_mps2");
             let values = if turned { [*high, *low] } else { [*low, *high] };
             let targets = [(&mut *least, values[0]), (&mut *most, values[1]), (&mut *centre, 0.5 * (low + high))];
             for (spec, value) in targets {
-                *slot(spec, field).ok_or_else(|| ScenarioBoxError::Field { field: field.clone() })? = value;
+                *field_mut(spec, field).ok_or_else(|| ScenarioBoxError::UnsupportedField { field: field.clone() })? = value;
             }
         }
         let [centre, low, high] = specs;

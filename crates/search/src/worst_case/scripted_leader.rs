@@ -24,7 +24,7 @@ impl ScriptedLeader {
     /// Drives the ends of a box.
     pub(super) fn new(low: &Scenario, high: &Scenario) -> Self {
         let (one, other) = (script_acceleration_mps2(low), script_acceleration_mps2(high));
-        let hull = one.iter().zip(&other).map(|(&a, &b)| between(a, b));
+        let hull = one.iter().zip(&other).map(|(&a, &b)| interval_hull(a, b));
         let driver = |scenario: &Scenario| scenario.vehicles().first().map(|leader| leader.driver.clone());
         let mut hardest = Interval::point(0.0);
         // Where rate or onset vary, the first to stand no longer says how hard the others brake: it did before.
@@ -39,7 +39,7 @@ impl ScriptedLeader {
         };
         let first = |of: fn(&VehicleSpec) -> f64| {
             let of = |scenario: &Scenario| scenario.vehicles().first().map_or(0.0, of);
-            between(of(low), of(high))
+            interval_hull(of(low), of(high))
         };
         let length_m = low.vehicles().first().map_or(0.0, VehicleSpec::length_m);
         let (position_m, speed_mps) = (first(|v| v.position_m), first(|v| v.speed_mps));
@@ -54,10 +54,10 @@ impl ScriptedLeader {
             rear_m
         };
         let (rearmost, foremost) = (drive(Interval::low), drive(Interval::high));
-        let rear_m: Vec<Interval> = rearmost.iter().zip(&foremost).map(|(&low, &high)| between(low, high)).collect();
+        let rear_m: Vec<Interval> = rearmost.iter().zip(&foremost).map(|(&low, &high)| interval_hull(low, high)).collect();
         let moves = rear_m.windows(2).rposition(|pair| pair.first() != pair.last());
         let rests_from = moves.map_or(0, |step| step + 1);
-        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, rests_from }
+        Self { position_m, speed_mps, length_m, acceleration_mps2, rear_m, standstill_step: rests_from }
     }
 }
 

@@ -6,9 +6,9 @@
 //! step, and a rollout judges it. First down to a collision, then, along its boundary, to a mild one; or on down to a severe
 //! one. The result is the best profile found: nothing shows that no milder one exists.
 
-use super::attack::{Aim, Attack, AttackError, AttackMethod};
+use super::attack::{AttackObjective, Attack, AttackError, AttackMethod};
 use super::profile_simulator::{ProfileSimulator, ProfileOutcome};
-use super::descent::{REGION_FACTORS, slopes};
+use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
 use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
 use super::pulses::{self, Pulse};
 
@@ -39,10 +39,10 @@ pub(super) struct SimulatedBraking {
 }
 
 /// The best profile found with about `budget` simulations; none if none collides.
-pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: Aim, budget: usize) -> Result<Option<Attack>, AttackError> {
-    let mut search = AttackSearch { bench, aim };
+pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: AttackObjective, budget: usize) -> Result<Option<Attack>, AttackError> {
+    let mut search = AttackSearch { bench, objective: aim };
     let mut best: Option<(SimulatedBraking, f64)> = None;
-    let mut starts = search.starts(budget)?;
+    let mut starts = search.find_starts(budget)?;
     starts.truncate((budget.saturating_sub(search.bench.evaluations) / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
@@ -51,8 +51,8 @@ pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: Aim, budget: usize) 
         let until = spent + budget.saturating_sub(spent) / (count - index);
         let found = search.descend(start, until)?;
         let is_better = |best: &SimulatedBraking, found: &SimulatedBraking| match aim {
-            Aim::Severest => found.margin_m < best.margin_m,
-            Aim::Mildest | Aim::LeastPeak => search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2),
+            AttackObjective::Severest => found.margin_m < best.margin_m,
+            AttackObjective::Mildest | AttackObjective::LeastPeak => search.cost(&found.cells_mps2) < search.cost(&best.cells_mps2),
         };
         if found.0.collides && best.as_ref().is_none_or(|(best, _)| is_better(best, &found.0)) {
             best = Some(found);
@@ -64,7 +64,7 @@ pub(super) fn attack(bench: &mut ProfileSimulator<'_>, aim: Aim, budget: usize) 
 
 struct AttackSearch<'s, 'a> {
     bench: &'s mut ProfileSimulator<'a>,
-    objective: Aim,
+    objective: AttackObjective,
 }
 
 impl AttackSearch<'_, '_> {
@@ -75,7 +75,7 @@ impl AttackSearch<'_, '_> {
             cells_mps2,
             margin_m: trial.margin_m,
             collides: trial.collides(),
-            until_s: trial.ends_s().unwrap_or(duration_s),
+            until_s: trial.end_time_s().unwrap_or(duration_s),
         };
         Ok(all.into_iter().zip(trials).map(point).collect())
     }
@@ -84,11 +84,11 @@ impl AttackSearch<'_, '_> {
     fn find_starts(&mut self, budget: usize) -> Result<Vec<SimulatedBraking>, AttackError> {
         let pulses = pulses::scan(self.bench, budget);
         let profiles: Vec<_> = pulses.iter().map(|pulse| pulse.cells_mps2(self.bench)).collect();
-        let tried = self.try_out(profiles)?;
+        let tried = self.simulate_profiles(profiles)?;
         let mut all: Vec<(Pulse, SimulatedBraking)> = pulses.into_iter().zip(tried).collect();
-        if self.aim == Aim::Severest || !all.iter().any(|(_, point)| point.collides) {
+        if self.objective == AttackObjective::Severest || !all.iter().any(|(_, point)| point.collides) {
             all.sort_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
-            return Ok(all.into_iter().map(|(_, point)| point).take(STARTS).collect());
+            return Ok(all.into_iter().map(|(_, point)| point).take(MAX_STARTS).collect());
         }
         let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
         all.retain(|(_, point)| point.collides);
@@ -101,9 +101,9 @@ impl AttackSearch<'_, '_> {
             }
         }
         self.bisect(&mut mildest)?;
-        let mut points: Vec<SimulatedBraking> = mildest.into_iter().map(|(_, point)| self.trimmed(point)).collect();
+        let mut points: Vec<SimulatedBraking> = mildest.into_iter().map(|(_, point)| self.trim(point)).collect();
         points.sort_by(|a, b| self.cost(&a.cells_mps2).total_cmp(&self.cost(&b.cells_mps2)));
-        points.truncate(STARTS);
+        points.truncate(MAX_STARTS);
         Ok(points)
     }
 
@@ -114,7 +114,7 @@ impl AttackSearch<'_, '_> {
             let halfway =
                 |((pulse, _), misses): (&(Pulse, SimulatedBraking), &f64)| pulse.with_depth(0.5 * (pulse.depth_mps2 + misses));
             let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
-            let tried = self.try_out(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
+            let tried = self.simulate_profiles(halves.iter().map(|half| half.cells_mps2(self.bench)).collect())?;
             for (((pulse, misses_mps2), half), point) in pulses.iter_mut().zip(&mut misses_mps2).zip(halves).zip(tried)
             {
                 if point.collides { *pulse = (half, point) } else { *misses_mps2 = half.depth_mps2 }
@@ -125,31 +125,31 @@ impl AttackSearch<'_, '_> {
 
     /// Steps from one profile, until `until` simulations have been made or none improves it; with what the last program predicted.
     fn descend(&mut self, mut at: SimulatedBraking, until: usize) -> Result<(SimulatedBraking, f64), AttackError> {
-        let [success, failure] = REGION_FACTORS;
-        let (mut region, mut predicted_m, mut phase) = (REGION_MPS2[0], at.margin_m, 0.0);
-        while region > REGION_MPS2[1] && self.bench.evaluations < until {
-            let wants_cost = at.collides && self.aim != Aim::Severest;
-            let hats = HatFunctions::new(self.bench, at.until_s + AFTER_S, phase);
-            let slope = self.slope(&at, &hats)?;
+        let [success, failure] = TRUST_REGION_FACTORS;
+        let (mut region, mut predicted_m, mut phase) = (TRUST_REGION_MPS2[0], at.margin_m, 0.0);
+        while region > TRUST_REGION_MPS2[1] && self.bench.evaluations < until {
+            let wants_cost = at.collides && self.objective != AttackObjective::Severest;
+            let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
+            let slope = self.gradient(&at, &hats)?;
             // Several depths beyond contact at once: the linear prediction is not exact.
             let goals: Vec<StepGoal> = match wants_cost {
-                true => [-1e-3, -0.05, -0.3, -1.0].map(|margin_m| StepGoal::Cost { aim: self.aim, margin_m }).into(),
+                true => [-1e-3, -0.05, -0.3, -1.0].map(|margin_m| StepGoal::Cost { objective: self.objective, margin_m }).into(),
                 false => vec![StepGoal::Margin],
             };
             let step =
-                EnvelopeStep { from_mps2: &at.cells_mps2, margin_m: at.margin_m, slope: &slope, hats: &hats, region };
-            let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.towards(self.bench, goal)).collect();
-            let tried = self.try_out(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
+                EnvelopeStep { profile_mps2: &at.cells_mps2, margin_m: at.margin_m, gradient: &slope, hats: &hats, trust_region_mps2: region };
+            let steps: Vec<_> = goals.into_iter().filter_map(|goal| step.solve(self.bench, goal)).collect();
+            let tried = self.simulate_profiles(steps.iter().map(|(cells, _)| cells.clone()).collect())?;
             let gain = |point: &SimulatedBraking| match wants_cost {
                 true if !point.collides => f64::NEG_INFINITY,
                 true => 1.0 - self.cost(&point.cells_mps2) / self.cost(&at.cells_mps2),
                 false => at.margin_m - point.margin_m,
             };
             let best = tried.into_iter().zip(steps).max_by(|(a, _), (b, _)| gain(a).total_cmp(&gain(b)));
-            match best.filter(|(point, _)| gain(point) > WORTH) {
+            match best.filter(|(point, _)| gain(point) > MIN_GAIN) {
                 Some((point, (_, predicted))) => {
-                    (at, predicted_m) = (self.trimmed(point), predicted);
-                    region = (region * success).min(REGION_MPS2[0]);
+                    (at, predicted_m) = (self.trim(point), predicted);
+                    region = (region * success).min(TRUST_REGION_MPS2[0]);
                 }
                 None => region *= failure,
             }
@@ -172,9 +172,9 @@ impl AttackSearch<'_, '_> {
     }
 
     fn cost(&self, cells_mps2: &[f64]) -> f64 {
-        match self.aim {
-            Aim::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
-            Aim::Mildest | Aim::Severest => cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum(),
+        match self.objective {
+            AttackObjective::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            AttackObjective::Mildest | AttackObjective::Severest => cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum(),
         }
     }
 
@@ -185,8 +185,8 @@ impl AttackSearch<'_, '_> {
             .means_mps2(&at.cells_mps2)
             .map(|mean| if mean > -0.5 * most { -FINITE_DIFFERENCE_MPS2 } else { FINITE_DIFFERENCE_MPS2 })
             .collect();
-        let nudged = by.iter().enumerate().map(|(knot, &by)| hats.moved(&at.cells_mps2, knot, by, most)).collect();
-        let margins_m: Vec<f64> = self.try_out(nudged)?.iter().map(|point| point.margin_m).collect();
-        Ok(slopes(at.margin_m, &margins_m, &by))
+        let nudged = by.iter().enumerate().map(|(knot, &by)| hats.perturb(&at.cells_mps2, knot, by, most)).collect();
+        let margins_m: Vec<f64> = self.simulate_profiles(nudged)?.iter().map(|point| point.margin_m).collect();
+        Ok(finite_difference_gradient(at.margin_m, &margins_m, &by))
     }
 }

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::run::CONFIGURATION;
-use super::{Aim, CampaignError};
-use crate::falsify::evaluator::Judging;
+use super::run::CONFIGURATION_FILE;
+use super::{SearchObjective, CampaignError};
+use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
 use crumple_store::disk;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{Space, SpaceSpec};
+use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 use crumple_world::sim::NamedController;
 
 /// The version of the campaign file this release reads and writes.
@@ -40,7 +40,7 @@ pub struct Campaign {
     /// What the vehicles under test look through.
     pub estimator: EstimatorKind,
     /// Where failures are looked for.
-    pub space: Space,
+    pub space: ScenarioSpace,
     /// What must hold.
     pub specification: Specification,
     /// What else must be so for a failure to count; none if every one does.
@@ -48,7 +48,7 @@ pub struct Campaign {
     /// The search method.
     pub method: Method,
     /// What the search is after once it knows failures. The reference searches do not look.
-    pub objective: Aim,
+    pub objective: SearchObjective,
     /// Evaluations of the method, and of each reference search.
     pub budget: u64,
     /// Seed of the search and of all noise.
@@ -110,8 +110,8 @@ impl Sharding {
             sharding: Option<Sharding>,
         }
 
-        let bytes = disk::read(&folder.join(CONFIGURATION), MOST_BYTES).ok()??;
-        toml::from_str::<Record>(std::str::from_utf8(&bytes).ok()?).ok()?.divided
+        let bytes = disk::read(&folder.join(CONFIGURATION_FILE), MAX_CONFIGURATION_BYTES).ok()??;
+        toml::from_str::<Record>(std::str::from_utf8(&bytes).ok()?).ok()?.sharding
     }
 
     /// Evaluations of each method that are missing.
@@ -140,10 +140,10 @@ pub(in crate::falsify) struct CampaignRecord {
     pub(in crate::falsify) specification: String,
     pub(in crate::falsify) method: Method,
     #[serde(rename = "aim")]
-    pub(in crate::falsify) objective: Aim,
+    pub(in crate::falsify) objective: SearchObjective,
     pub(in crate::falsify) budget: u64,
     pub(in crate::falsify) seed: u64,
-    #[serde(default, skip_serializing_if = "Log::is_full")]
+    #[serde(default, skip_serializing_if = "EvaluationLog::is_full")]
     pub(in crate::falsify) log: EvaluationLog,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "divided")]
@@ -165,18 +165,18 @@ impl CampaignRecord {
             estimator: campaign.estimator,
             specification: campaign.specification.to_string(),
             method: campaign.method.clone(),
-            aim: campaign.aim,
+            objective: campaign.objective,
             budget: campaign.budget,
             seed: campaign.seed,
             log,
-            divided: None,
-            contrast: campaign.contrast.as_ref().map(FailureCriterion::record),
+            sharding: None,
+            failure_criterion: campaign.failure_criterion.as_ref().map(FailureCriterion::to_record),
             space: campaign.space.spec().clone(),
         }
     }
 
     pub(in crate::falsify) fn to_toml(&self) -> Result<String, CampaignError> {
-        toml::to_string(self).map_err(CampaignError::encoding)
+        toml::to_string(self).map_err(CampaignError::from_encoding_error)
     }
 }
 
@@ -191,15 +191,15 @@ impl Campaign {
     /// Creates the campaign that `crumple falsify` runs by default: a search for collisions by the method `auto` with 2000 evaluations,
     /// through the Kalman filter, with seed 0.
     #[must_use]
-    pub fn new(controller: impl Into<NamedController>, space: Space) -> Self {
+    pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace) -> Self {
         Self {
             controller: controller.into(),
             estimator: EstimatorKind::Kalman,
             space,
             specification: Specification::NoContact,
-            contrast: None,
+            failure_criterion: None,
             method: Method::Auto,
-            aim: Aim::Severest,
+            objective: SearchObjective::Severest,
             budget: 2000,
             seed: 0,
         }
@@ -214,22 +214,22 @@ impl Campaign {
     /// The methods in the order in which they run: the one asked for, then the reference searches.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
-        methods(&self.method)
+        with_reference_methods(&self.method)
     }
 
     /// How scenarios are judged.
-    pub(in crate::falsify) fn evaluator(&self) -> Judging<'_> {
-        Judging {
+    pub(in crate::falsify) fn evaluator(&self) -> Evaluator<'_> {
+        Evaluator {
             specification: &self.specification,
             controller: &self.controller,
             estimator: self.estimator,
-            contrast: self.contrast.as_ref(),
+            failure_criterion: self.failure_criterion.as_ref(),
         }
     }
 
     /// Everybody who is put under test: the controller, and the one that it is set against.
     pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
-        let other = self.contrast.as_ref().map(|contrast| contrast.driver(&self.controller));
+        let other = self.failure_criterion.as_ref().map(|contrast| contrast.partner_controller(&self.controller));
         std::iter::once(&self.controller).chain(other)
     }
 
@@ -238,6 +238,6 @@ impl Campaign {
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, CampaignError> {
-        CampaignRecord::of(self, EvaluationLog::Full).to_toml()
+        CampaignRecord::from_campaign(self, EvaluationLog::Full).to_toml()
     }
 }

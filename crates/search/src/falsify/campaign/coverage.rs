@@ -46,12 +46,12 @@ impl Coverage {
         }
     }
 
-    pub(super) fn percentages(&self) -> Covered {
+    pub(super) fn percentages(&self) -> CoveragePercentages {
         let percent = |cells: &[bool]| {
             let tried = cells.iter().filter(|cell| **cell).count();
             if cells.is_empty() { 100.0 } else { 100.0 * tried as f64 / cells.len() as f64 }
         };
-        Covered { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
+        CoveragePercentages { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
     }
 
     /// Whether it is of a space of so many coordinates.

@@ -8,15 +8,15 @@ pub(in crate::falsify) mod verdict {
     use crate::falsify::campaign::journal;
 
     pub(in crate::falsify) fn serialize<S: Serializer>(verdict: &RunVerdict, to: S) -> Result<S::Ok, S::Error> {
-        super::hexadecimal(&journal::encode(verdict)).serialize(to)
+        super::to_hex(&journal::encode(verdict)).serialize(to)
     }
 
     pub(in crate::falsify) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<RunVerdict, D::Error> {
         let text = String::deserialize(from)?;
-        let read = super::bytes(&text).and_then(|bytes| bytes.try_into().ok());
+        let read = super::parse_hex(&text).and_then(|bytes| bytes.try_into().ok());
         let verdict = read.as_ref().map(journal::decode).filter(|verdict| !verdict.robustness.is_nan());
         // What was written is read back as it was: no braking and no class that there is not.
-        let is_whole = |verdict: &RunVerdict| super::hexadecimal(&journal::encode(verdict)) == text;
+        let is_whole = |verdict: &RunVerdict| super::to_hex(&journal::encode(verdict)) == text;
         verdict.filter(is_whole).ok_or_else(|| de::Error::custom("not a verdict"))
     }
 }
@@ -28,12 +28,12 @@ pub(super) mod cells {
     pub(in crate::falsify) fn serialize<S: Serializer>(cells: &[bool], to: S) -> Result<S::Ok, S::Error> {
         let byte = |eight: &[bool]| eight.iter().fold(0, |byte, &cell| byte << 1 | u8::from(cell)) << (8 - eight.len());
         let bytes: Vec<u8> = cells.chunks(8).map(byte).collect();
-        (cells.len(), super::hexadecimal(&bytes)).serialize(to)
+        (cells.len(), super::to_hex(&bytes)).serialize(to)
     }
 
     pub(in crate::falsify) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<bool>, D::Error> {
         let (length, text) = <(usize, String)>::deserialize(from)?;
-        let bytes = super::bytes(&text).filter(|bytes| bytes.len() == length.div_ceil(8));
+        let bytes = super::parse_hex(&text).filter(|bytes| bytes.len() == length.div_ceil(8));
         let bytes = bytes.ok_or_else(|| de::Error::custom("not so many cells"))?;
         let cells = bytes.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1 == 1));
         Ok(cells.take(length).collect())

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Evaluated;
-use super::front::Front;
+use super::EvaluatedPoint;
+use super::front::ParetoFront;
 use crate::falsify::Method;
-use crumple_world::measure::{Braking, RunVerdict, Specification};
+use crumple_world::measure::{BrakingLevel, RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, VehicleClass};
 
 /// What tells failures apart at first sight: who hits whom, how hard the ego had braked until then (so whether its emergency
@@ -20,7 +20,7 @@ pub enum FailureKind {
         /// Index of the vehicle that hits it.
         rear_vehicle: u32,
         /// How hard the vehicle under test among the two had braked.
-        ego_braking: Braking,
+        ego_braking: BrakingLevel,
         /// Class of the vehicle that hits.
         rear_class: VehicleClass,
     },
@@ -43,7 +43,7 @@ impl FailureKind {
         if verdict.robustness.is_nan() || verdict.robustness >= 0.0 {
             return None;
         }
-        if let Some((_, vehicle)) = verdict.failed {
+        if let Some((_, vehicle)) = verdict.failure {
             return Some(Self::ControllerFailed { vehicle });
         }
         Some(match (specification, verdict.contact) {
@@ -53,7 +53,7 @@ impl FailureKind {
                 ego_braking: struck.ego_braking,
                 rear_class: struck.rear_class,
             },
-            (_, contact) => Self::Violation { touching: contact.is_some() },
+            (_, contact) => Self::Violation { has_contact: contact.is_some() },
         })
     }
 
@@ -82,8 +82,8 @@ impl FailureKind {
     pub fn describe(&self, scenario: &Scenario) -> String {
         let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
             Self::ControllerFailed { vehicle } => return format!("the controller of vehicle {vehicle} fails"),
-            Self::Violation { touching: false } => return "the specification is violated without a contact".to_owned(),
-            Self::Violation { touching: true } => {
+            Self::Violation { has_contact: false } => return "the specification is violated without a contact".to_owned(),
+            Self::Violation { has_contact: true } => {
                 return "the specification is violated, and vehicles touch".to_owned();
             }
             Self::Contact { front_vehicle, rear_vehicle, ego_braking, rear_class } => {
@@ -93,9 +93,9 @@ impl FailureKind {
         let is_ego = |index: u32| scenario.is_under_test(index as usize);
         let class = rear_class.name();
         let braked = match ego_braking {
-            Braking::None => "without braking",
-            Braking::Partial => "braking partly",
-            Braking::Full => "braking fully",
+            BrakingLevel::None => "without braking",
+            BrakingLevel::Partial => "braking partly",
+            BrakingLevel::Full => "braking fully",
         };
         match (is_ego(*rear_vehicle), is_ego(*front_vehicle)) {
             (true, _) => format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}"),
@@ -144,27 +144,27 @@ pub(super) struct FailureGroup {
 pub(super) struct Failures {
     pub(super) specification: Specification,
     pub(super) groups: Vec<FailureGroup>,
-    pub(super) front: Front,
+    pub(super) front: ParetoFront,
 }
 
 impl Failures {
     pub(super) fn new(specification: Specification) -> Self {
-        Self { specification, kinds: Vec::new(), front: Front::default() }
+        Self { specification, groups: Vec::new(), front: ParetoFront::default() }
     }
 
-    pub(super) fn add(&mut self, method: &Method, evaluated: &Evaluated) {
-        let Some(kind) = FailureKind::of(&evaluated.verdict, &self.specification) else { return };
+    pub(super) fn add(&mut self, method: &Method, evaluated: &EvaluatedPoint) {
+        let Some(kind) = FailureKind::from_verdict(&evaluated.verdict, &self.specification) else { return };
         let candidate = FailureCandidate {
             method: method.clone(),
             number: evaluated.number,
             values: evaluated.values.clone(),
             verdict: evaluated.verdict,
             ln_likelihood: evaluated.ln_likelihood,
-            departure: evaluated.departure,
+            distance_from_nominal: evaluated.distance_from_nominal,
         };
         self.front.add(&candidate);
-        let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind) else {
-            self.kinds.push(FailureGroup {
+        let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind) else {
+            self.groups.push(FailureGroup {
                 kind,
                 by_method: vec![(method.clone(), 1, evaluated.number)],
                 first: candidate.clone(),
@@ -191,11 +191,11 @@ impl Failures {
         let order = |method: &Method| methods.iter().position(|known| known == method);
         let position = |found: &FailureCandidate| (order(&found.method), found.number);
         for candidate in other.front.failures() {
-            self.front.join(candidate, |known| position(candidate) < position(known));
+            self.front.merge(candidate, |known| position(candidate) < position(known));
         }
-        for kind in other.kinds {
-            let Some(known) = self.kinds.iter_mut().find(|known| known.kind == kind.kind) else {
-                self.kinds.push(kind);
+        for kind in other.groups {
+            let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind.kind) else {
+                self.groups.push(kind);
                 continue;
             };
             for (method, count, first) in kind.by_method {
@@ -220,17 +220,17 @@ impl Failures {
                 known.severest = kind.severest;
             }
         }
-        self.kinds.sort_by_key(|kind| position(&kind.first));
+        self.groups.sort_by_key(|kind| position(&kind.first));
     }
 
     /// What is looked at closely: of the most frequent kinds, at most so many.
     pub(super) fn examination_candidates(&self, kinds: usize) -> Vec<&FailureCandidate> {
-        self.by_frequency().into_iter().take(kinds).flat_map(FailureGroup::picks).collect()
+        self.by_frequency().into_iter().take(kinds).flat_map(FailureGroup::examination_candidates).collect()
     }
 
     /// The most frequent kinds first, and of equally frequent ones the first to be found.
     pub(super) fn by_frequency(&self) -> Vec<&FailureGroup> {
-        let mut kinds: Vec<_> = self.kinds.iter().collect();
+        let mut kinds: Vec<_> = self.groups.iter().collect();
         kinds.sort_by_key(|kind| std::cmp::Reverse(kind.count()));
         kinds
     }
@@ -239,7 +239,7 @@ impl Failures {
 impl FailureCandidate {
     /// By likelihood; where that is equal, by nearness to nominal.
     fn is_likelier_than(&self, other: &Self) -> bool {
-        let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.departure);
+        let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.distance_from_nominal);
         key(self) > key(other)
     }
 }

@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::coverage::Coverage;
 use super::failures::Failures;
-use super::regions::{MOST_POINTS, Region, Sample};
-use super::resolved_config::Terms;
-use super::{Evaluated, FailureKind};
+use super::regions::{MAX_POINTS, Region, LabelledPoints};
+use super::resolved_config::ResolvedConfig;
+use super::{EvaluatedPoint, FailureKind};
 use crate::falsify::Method;
 
 /// What one method has reached.
@@ -70,19 +70,19 @@ impl MethodResults {
         }
     }
 
-    pub(super) fn add(&mut self, evaluated: &Evaluated, fails: bool) {
+    pub(super) fn add(&mut self, evaluated: &EvaluatedPoint, fails: bool) {
         self.evaluations += 1;
         if fails {
             self.failures += 1;
             self.first = self.first.or(Some(evaluated.number));
-            if self.method.is_blind() && evaluated.number <= MOST_POINTS as u64 {
+            if self.method.is_blind() && evaluated.number <= MAX_POINTS as u64 {
                 self.failing.push(evaluated.number);
             }
         }
         self.unbounded +=
-            u64::from(evaluated.verdict.failed.is_none() && evaluated.verdict.robustness == f64::INFINITY);
+            u64::from(evaluated.verdict.failure.is_none() && evaluated.verdict.robustness == f64::INFINITY);
         // It is the other's where this one does not fail.
-        if evaluated.verdict.failed.is_some() && !evaluated.verdict.is_violation() {
+        if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
             let silent = self.other_unanswered.get_or_insert_with(|| UnansweredRuns {
                 runs: 0,
                 first: evaluated.number,
@@ -112,7 +112,7 @@ impl MethodResults {
             (None, other) => self.other_unanswered = other,
             (Some(_), None) => {}
         }
-        self.coverage.join(&other.coverage);
+        self.coverage.merge(&other.coverage);
         self.failing.extend(other.failing);
         self.failing.sort_unstable();
     }
@@ -120,7 +120,7 @@ impl MethodResults {
     /// Whether it can be what the evaluations after the first, in a space of so many coordinates, came to.
     pub(super) fn is_consistent_with(&self, made: &Range<u64>, dimension: usize) -> bool {
         let is_made = |number: &u64| made.contains(&number.wrapping_sub(1));
-        let sampled = if self.method.is_blind() { MOST_POINTS as u64 } else { 0 };
+        let sampled = if self.method.is_blind() { MAX_POINTS as u64 } else { 0 };
         self.evaluations == made.end - made.start
             && self.failures.saturating_add(self.unbounded) <= self.evaluations
             && self
@@ -131,7 +131,7 @@ impl MethodResults {
             && self.first.iter().all(is_made)
             && !self.best.is_nan()
             && (self.best < 0.0) == (self.failures > 0)
-            && self.coverage.is_of(dimension)
+            && self.coverage.has_dimension(dimension)
             && self.failing.is_sorted_by(|one, other| one < other)
             && self.failing.iter().all(|number| is_made(number) && *number <= sampled)
             && self.failing.len() as u64 <= self.failures
@@ -140,37 +140,37 @@ impl MethodResults {
 
 impl CampaignFindings {
     /// Nothing yet.
-    pub(super) fn new(terms: &Terms) -> Self {
-        Self { reached: Vec::new(), failures: Failures::new(terms.specification.clone()) }
+    pub(super) fn new(terms: &ResolvedConfig) -> Self {
+        Self { method_results: Vec::new(), failures: Failures::new(terms.specification.clone()) }
     }
 
     /// Takes in what other evaluations by the same methods came to.
     pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
-        if self.reached.is_empty() {
-            self.reached = other.reached;
+        if self.method_results.is_empty() {
+            self.method_results = other.method_results;
         } else {
-            self.reached.iter_mut().zip(other.reached).for_each(|(own, other)| own.join(other));
+            self.method_results.iter_mut().zip(other.method_results).for_each(|(own, other)| own.merge(other));
         }
-        self.failures.join(other.failures, methods);
+        self.failures.merge(other.failures, methods);
     }
 
-    pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &Evaluated) {
-        let fails = FailureKind::of(&evaluated.verdict, &self.failures.specification).is_some();
+    pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &EvaluatedPoint) {
+        let fails = FailureKind::from_verdict(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
         self.failures.add(&reached.method, evaluated);
     }
 
     /// Where failures lie, by the first points of the reference searches: those points again, and what is known of each. Some may be
     /// missing.
-    pub(super) fn find_regions(&self, terms: &Terms, missing: &[Range<u64>]) -> Vec<Region> {
-        let mut sample = Sample::default();
+    pub(super) fn find_regions(&self, terms: &ResolvedConfig, missing: &[Range<u64>]) -> Vec<Region> {
+        let mut sample = LabelledPoints::default();
         let is_missing = |index: u64| {
             let after = missing.partition_point(|range| range.end <= index);
             missing.get(after).is_some_and(|range| range.contains(&index))
         };
-        for reached in self.reached.iter().filter(|reached| reached.method.is_blind()) {
+        for reached in self.method_results.iter().filter(|reached| reached.method.is_blind()) {
             let mut search = reached.method.start(&terms.cube, terms.record.seed);
-            let most = terms.record.budget.min(MOST_POINTS as u64);
+            let most = terms.record.budget.min(MAX_POINTS as u64);
             let mut points = Vec::new().into_iter();
             for index in 0..most {
                 if sample.is_full() {
@@ -184,6 +184,6 @@ impl CampaignFindings {
                 }
             }
         }
-        sample.regions(&terms.space)
+        sample.find_regions(&terms.space)
     }
 }

@@ -41,7 +41,7 @@ pub struct FrontPoint {
 }
 
 fn compare_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Ordering {
-    let key = |candidate: &FailureCandidate| (candidate.ln_likelihood, -candidate.departure);
+    let key = |candidate: &FailureCandidate| (candidate.ln_likelihood, -candidate.distance_from_nominal);
     key(one).partial_cmp(&key(other)).unwrap_or(Ordering::Equal)
 }
 
@@ -49,12 +49,12 @@ impl ParetoFront {
     /// Of what another front held; in any order.
     pub(super) fn from_failures(failures: Vec<FailureCandidate>) -> Self {
         let mut front = Self::default();
-        failures.iter().for_each(|failure| front.place(failure, usize::MAX));
+        failures.iter().for_each(|failure| front.insert(failure, usize::MAX));
         front
     }
 
     pub(super) fn add(&mut self, candidate: &FailureCandidate) {
-        self.place(candidate, MOST);
+        self.insert(candidate, MAX_FAILURES);
     }
 
     /// Takes in one of another front; of equal ones the earlier stays. Whatever the order, all that nothing beats is there in the end.
@@ -66,16 +66,16 @@ impl ParetoFront {
         match self.failures.iter_mut().find(is_equal) {
             Some(known) if is_earlier(known) => *known = candidate.clone(),
             Some(_) => {}
-            None => self.place(candidate, usize::MAX),
+            None => self.insert(candidate, usize::MAX),
         }
     }
 
     /// All of it; of more than are kept, some evenly over its length.
     pub(super) fn thin(mut self) -> Self {
         let all = self.failures.len();
-        if all > MOST {
+        if all > MAX_FAILURES {
             let last = all - 1;
-            let mut chosen = (0..MOST).map(|place| place * last / (MOST - 1)).peekable();
+            let mut chosen = (0..MAX_FAILURES).map(|place| place * last / (MAX_FAILURES - 1)).peekable();
             let mut index = 0..all;
             self.failures.retain(|_| index.next().is_some_and(|index| chosen.next_if_eq(&index).is_some()));
         }
@@ -107,11 +107,11 @@ impl ParetoFront {
         let point = |failure: &FailureCandidate| FrontPoint {
             method: failure.method.name().to_owned(),
             evaluation: failure.number,
-            kind: FailureKind::of(&failure.verdict, specification).map_or(String::new(), |kind| kind.describe(nominal)),
+            kind: FailureKind::from_verdict(&failure.verdict, specification).map_or(String::new(), |kind| kind.describe(nominal)),
             robustness: failure.verdict.robustness,
             impact_speed_mps: failure.verdict.contact.map(|contact| contact.impact_speed_mps),
             ln_likelihood: failure.ln_likelihood,
-            departure: failure.departure,
+            distance_from_nominal: failure.distance_from_nominal,
         };
         self.failures.iter().map(point).collect()
     }

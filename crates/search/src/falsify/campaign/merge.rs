@@ -9,28 +9,28 @@ use std::ops::Range;
 use std::path::Path;
 
 use super::config::Sharding;
-use super::findings::Findings;
-use super::run::{CONFIGURATION, JOURNAL_FILE, MAX_EXAMINED_KINDS, SUMMARY, TEXT, open};
+use super::findings::CampaignFindings;
+use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, MAX_EXAMINED_KINDS, SUMMARY_FILE, SUMMARY_TEXT_FILE, open_run_folder};
 use super::shard::{ShardFindings, ShardedCampaign};
-use super::summary::Summary;
-use super::resolved_config::Terms;
+use super::summary::CampaignSummary;
+use super::resolved_config::ResolvedConfig;
 use super::{CampaignError, FailureCandidate};
 use crate::falsify::Method;
-use crate::falsify::counterexample::{Examined, Recorder};
+use crate::falsify::counterexample::{ExaminedFailure, Recorder};
 use crumple_core::digest::sha256;
-use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD, Sharded, read_shard};
-use crumple_store::work::{Finished, WorkError};
+use crumple_store::shard::{MergeError, MissingShards, Parts, SHARD_FILE, Sharded, read_shard};
+use crumple_store::run_folder::{CompletedRun, RunFolderError};
 
 /// Shards of one campaign.
 #[derive(Debug)]
 pub struct MergedCampaign {
     sharded: ShardedCampaign,
-    config: Terms,
+    config: ResolvedConfig,
     /// Of each method's evaluations; with the digests of what they came to.
     parts: Parts<String>,
-    findings: Findings,
+    findings: CampaignFindings,
     /// Failures that were looked at and may be told, by who found them and when.
-    examined: BTreeMap<(usize, u64), Examined>,
+    examined: BTreeMap<(usize, u64), ExaminedFailure>,
 }
 
 impl MergedCampaign {
@@ -38,13 +38,13 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn from_shard(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn from_shard(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         let (_, work, _) = read_shard::<ShardedCampaign>(found)?;
-        let terms = Terms::read(work.campaign.clone(), work.nondeterministic)
-            .map_err(|problem| found.damaged(SHARD, format!("campaign.{problem}")))?;
-        let findings = Findings::of(&terms);
-        let mut merged = Self { work, terms, parts: Parts::of(folder), findings, examined: BTreeMap::new() };
-        merged.take(folder, found)?;
+        let terms = ResolvedConfig::from_shard_record(work.campaign.clone(), work.nondeterministic)
+            .map_err(|problem| found.damaged_error(SHARD_FILE, format!("campaign.{problem}")))?;
+        let findings = CampaignFindings::new(&terms);
+        let mut merged = Self { sharded: work, config: terms, parts: Parts::new(folder), findings, examined: BTreeMap::new() };
+        merged.add_shard(folder, found)?;
         Ok(merged)
     }
 
@@ -52,26 +52,26 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read, or does not go with the others.
-    pub fn add_shard(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
+    pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
         let (shard, work, part) = read_shard(found)?;
-        if let Some(field) = self.work.difference(&work) {
-            return Err(self.parts.foreign(folder, field));
+        if let Some(field) = self.sharded.differing_field(&work) {
+            return Err(self.parts.foreign_error(folder, field));
         }
-        let ShardFindings { findings, examined, text } = ShardFindings::read(found, &part, &self.terms)?;
+        let ShardFindings { findings, examined, text } = ShardFindings::read(found, &part, &self.config)?;
         let duplicates = self.parts.duplicates();
-        self.parts.place(folder, shard, part, sha256(text))?;
+        self.parts.insert(folder, shard, part, sha256(text))?;
         if self.parts.duplicates() > duplicates {
             return Ok(());
         }
-        let methods = self.terms.methods();
-        self.findings.join(findings, &methods);
+        let methods = self.config.methods();
+        self.findings.merge(findings, &methods);
         let place = |method: &Method, number: u64| (methods.iter().position(|known| known == method), number);
         let known = examined.into_iter().filter_map(|one| {
             let (method, number) = place(&one.method, one.number);
             Some(((method?, number), one))
         });
         self.examined.extend(known);
-        let picks = self.findings.failures.picks(usize::MAX);
+        let picks = self.findings.failures.examination_candidates(usize::MAX);
         let is_picked = |(method, number): &(usize, u64)| {
             picks.iter().any(|pick: &&FailureCandidate| place(&pick.method, pick.number) == (Some(*method), *number))
         };
@@ -82,7 +82,7 @@ impl MergedCampaign {
     /// Evaluations of each method that no shard has made, counted from 0.
     #[must_use]
     pub fn missing_ranges(&self) -> Vec<Range<u64>> {
-        self.parts.missing(self.terms.record.budget)
+        self.parts.missing_ranges(self.config.record.budget)
     }
 
     /// Which shards are missing.
@@ -94,15 +94,15 @@ impl MergedCampaign {
     /// How many shards there are, and how many were given more than once.
     #[must_use]
     pub fn shard_counts(&self) -> (u64, u64) {
-        (self.parts.shards(), self.parts.duplicates())
+        (self.parts.shard_count(), self.parts.duplicates())
     }
 
     /// What makes it another campaign than that of one machine, if anything does.
     fn sharding(&self) -> Option<Sharding> {
-        let missing = self.missing();
+        let missing = self.missing_ranges();
         // A part that is missing is a search that is not there.
-        let searches = if self.terms.record.method.is_blind() { 1 } else { self.parts.shards() };
-        let MissingShards { of_shards, missing_shards } = self.parts.missing_shards();
+        let searches = if self.config.record.method.is_blind() { 1 } else { self.parts.shard_count() };
+        let MissingShards { shard_count: of_shards, missing_shards } = self.parts.missing_shards();
         (searches > 1 || !missing.is_empty()).then(|| Sharding {
             searches,
             of_shards: of_shards.filter(|_| !missing.is_empty()),
@@ -112,17 +112,17 @@ impl MergedCampaign {
     }
 
     /// What the shards come to, and the failures that it tells, the severest first.
-    fn merged_findings(&self) -> (Terms, Findings, Vec<Examined>) {
-        let mut terms = self.terms.clone();
-        terms.record.divided = self.divided();
+    fn merged_findings(&self) -> (ResolvedConfig, CampaignFindings, Vec<ExaminedFailure>) {
+        let mut terms = self.config.clone();
+        terms.record.sharding = self.sharding();
         let mut findings = self.findings.clone();
-        findings.failures.front = findings.failures.front.thinned();
+        findings.failures.front = findings.failures.front.thin();
         let methods = terms.methods();
         let place =
             |pick: &&FailureCandidate| Some((methods.iter().position(|known| *known == pick.method)?, pick.number));
-        let picks = self.findings.failures.picks(MAX_EXAMINED_KINDS);
+        let picks = self.findings.failures.examination_candidates(MAX_EXAMINED_KINDS);
         let examined = picks.iter().filter_map(|pick| self.examined.get(&place(pick)?)).cloned().collect();
-        let distinct = Recorder { terms: &terms }.distinct(examined);
+        let distinct = Recorder { config: &terms }.select_distinct(examined);
         (terms, findings, distinct)
     }
 
@@ -132,28 +132,28 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`CampaignError`] if the folder cannot be used, or holds something else.
-    pub fn write_to(&self, folder: &Path) -> Result<Summary, CampaignError> {
-        let (terms, findings, distinct) = self.told();
+    pub fn write_to(&self, folder: &Path) -> Result<CampaignSummary, CampaignError> {
+        let (terms, findings, distinct) = self.merged_findings();
         let configuration = terms.record.to_toml()?;
-        let work = open(folder, &configuration, true)?;
-        let summarised = |results: &mut crumple_store::work::Changes<'_>| {
-            let counterexamples = Recorder { terms: &terms }.record_all(&distinct, results)?;
-            Summary::of(&terms, &findings, counterexamples, &self.missing())
+        let work = open_run_folder(folder, &configuration, true)?;
+        let summarised = |results: &mut crumple_store::run_folder::FolderTransaction<'_>| {
+            let counterexamples = Recorder { config: &terms }.record_all(&distinct, results)?;
+            CampaignSummary::from_findings(&terms, &findings, counterexamples, &self.missing_ranges())
         };
-        let mut results = work.changes();
+        let mut results = work.transaction();
         let summary = summarised(&mut results)?;
         if work.is_complete() {
-            return match work.read_required(SUMMARY)? == summary.to_json()?.into_bytes() {
+            return match work.read_required(SUMMARY_FILE)? == summary.to_json()?.into_bytes() {
                 true => Ok(summary),
                 false => {
                     let problem = "there is a campaign of the same configuration that came to something else";
-                    Err(WorkError::damaged(&work.path(SUMMARY), problem).into())
+                    Err(RunFolderError::damaged(&work.path(SUMMARY_FILE), problem).into())
                 }
             };
         }
-        results.write(CONFIGURATION, configuration).write(TEXT, summary.to_text());
+        results.write(CONFIGURATION_FILE, configuration).write(SUMMARY_TEXT_FILE, summary.to_text());
         // There is a journal where the same campaign was broken off in the folder.
-        results.write(SUMMARY, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
+        results.write(SUMMARY_FILE, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(summary)
     }
@@ -162,10 +162,10 @@ impl MergedCampaign {
     ///
     /// # Errors
     /// [`CampaignError`] in principle, if a file cannot be encoded.
-    pub fn summary(&self) -> Result<Summary, CampaignError> {
-        let (terms, findings, distinct) = self.told();
-        let counterexamples = Recorder { terms: &terms }.described(&distinct)?;
-        Summary::of(&terms, &findings, counterexamples, &self.missing())
+    pub fn summary(&self) -> Result<CampaignSummary, CampaignError> {
+        let (terms, findings, distinct) = self.merged_findings();
+        let counterexamples = Recorder { config: &terms }.describe_all(&distinct)?;
+        CampaignSummary::from_findings(&terms, &findings, counterexamples, &self.missing_ranges())
     }
 }
 

@@ -37,23 +37,23 @@ mod summary;
 mod table;
 mod resolved_config;
 
-pub use objective::{Aim, UnknownObjective};
+pub use objective::{SearchObjective, UnknownObjective};
 pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, Sharding, EvaluationLog};
-pub use coverage::Covered;
+pub use coverage::CoveragePercentages;
 pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
-pub use reader::{CampaignReader, MOST_SHOWN};
+pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub use merge::MergedCampaign;
 pub use regions::Region;
-pub use run::{CAMPAIGN, CampaignProgress, with_journal};
-pub use shard::{CAMPAIGN_SHARD_KIND, ShardDone};
-pub use summary::{AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, Summary};
-pub(in crate::falsify) use resolved_config::Terms;
+pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
+pub use shard::{CAMPAIGN_SHARD_KIND, ShardSummary};
+pub use summary::{AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, CampaignSummary};
+pub(in crate::falsify) use resolved_config::ResolvedConfig;
 
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{RunVerdict, SpecificationError};
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
@@ -87,7 +87,7 @@ pub enum CampaignError {
     Folder(String),
     /// The folder cannot be worked in.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    Work(#[from] RunFolderError),
     /// A scenario cannot be run with this controller.
     #[error(transparent)]
     Run(#[from] RunError),

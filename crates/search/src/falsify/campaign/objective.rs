@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::Evaluated;
+use super::EvaluatedPoint;
 
 /// Which failure is the best one to find. Until there is one, every search follows the robustness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
@@ -46,12 +46,12 @@ impl SearchObjective {
     /// What a search is told, smaller being better: the robustness where nothing fails; below that, for failures, a number
     /// that is the smaller the nearer they are to the aim.
     #[must_use]
-    pub(crate) fn cost(self, evaluated: &Evaluated) -> f64 {
+    pub(crate) fn cost(self, evaluated: &EvaluatedPoint) -> f64 {
         let robustness = evaluated.verdict.robustness;
         let fails = robustness < 0.0;
         match self {
-            Self::Likeliest if fails => -2.0 - squashed(evaluated.ln_likelihood),
-            Self::Nearest if fails => -2.0 + evaluated.departure,
+            Self::Likeliest if fails => -2.0 - squash(evaluated.ln_likelihood),
+            Self::Nearest if fails => -2.0 + evaluated.distance_from_nominal,
             _ => robustness,
         }
     }

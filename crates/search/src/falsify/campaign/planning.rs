@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::resolved_config::Terms;
+use super::resolved_config::ResolvedConfig;
 use super::{Campaign, CampaignError, EvaluationLog};
 use crate::falsify::Method;
 use crumple_store::jobs::run_on_one_core;
@@ -17,7 +17,7 @@ impl Campaign {
     /// # Errors
     /// [`CampaignError`] if a run cannot be made.
     pub fn evaluations_per_second(&self, during: Duration) -> Result<f64, CampaignError> {
-        let terms = Terms::of(self, EvaluationLog::Summary)?;
+        let terms = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
         self.check(&terms.nominal)?;
         run_on_one_core(|| {
             let mut search = Method::Uniform.start(&terms.cube, self.seed);

@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 
 use super::config::CampaignRecord;
 use super::failures::Failures;
-use super::run::{CONFIGURATION, JOURNAL_FILE, SUMMARY};
-use super::resolved_config::Terms;
-use super::{CampaignError, Evaluated, FailureKind, FrontPoint, Summary, journal, table};
-use crate::falsify::{Method, Search};
+use super::run::{CONFIGURATION_FILE, JOURNAL_FILE, SUMMARY_FILE};
+use super::resolved_config::ResolvedConfig;
+use super::{CampaignError, EvaluatedPoint, FailureKind, FrontPoint, CampaignSummary, journal, table};
+use crate::falsify::{Method, SearchAlgorithm};
 use crumple_store::disk;
-use crumple_store::work::{self, Finished, Found, WorkError};
+use crumple_store::run_folder::{self, CompletedRun, RunState, RunFolderError};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::NamedController;
 
@@ -23,14 +23,14 @@ use crumple_world::sim::NamedController;
 pub const MAX_READ_EVALUATIONS: usize = 200_000;
 
 /// Most bytes of `campaign.toml`.
-const MAX_CONFIGURATION_BYTES: u64 = file::MOST_BYTES;
+const MAX_CONFIGURATION_BYTES: u64 = file::MAX_BYTES;
 
 /// What can be seen of a campaign in a folder.
 #[derive(Debug)]
 pub struct CampaignReader {
     folder: PathBuf,
-    config: Terms,
-    evaluations: Vec<(Method, Evaluated)>,
+    config: ResolvedConfig,
+    evaluations: Vec<(Method, EvaluatedPoint)>,
     failures: Failures,
     stage: ReaderStage,
 }
@@ -39,7 +39,7 @@ pub struct CampaignReader {
 #[derive(Debug)]
 enum ReaderStage {
     Running(JournalTail),
-    Finished { finished: Finished, summary: Box<Summary>, parts: Vec<String> },
+    Finished { finished: CompletedRun, summary: Box<CampaignSummary>, parts: Vec<String> },
 }
 
 /// Where a search is that is asked again.
@@ -48,7 +48,7 @@ struct JournalTail {
     identity: String,
     /// Which of the methods, and its search.
     method: usize,
-    search: Option<Box<dyn Search>>,
+    search: Option<Box<dyn SearchAlgorithm>>,
     /// Evaluations of this method.
     evaluation_count: u64,
     pending_points: Vec<Vec<f64>>,
@@ -61,43 +61,43 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError`] if there is none, it is damaged, or another build of crumple is at work on it.
     pub fn open(folder: &Path) -> Result<Self, CampaignError> {
-        let damaged = |name: &str, problem: String| WorkError::damaged(&folder.join(name), problem);
+        let damaged = |name: &str, problem: String| RunFolderError::damaged(&folder.join(name), problem);
         let other_kind =
-            |found: String| WorkError::OtherKind { path: folder.join(work::MANIFEST), found, kind: KIND.to_owned() };
-        let (text, stage) = match work::find(folder)? {
-            Found::Nothing => {
+            |found: String| RunFolderError::OtherKind { path: folder.join(run_folder::MANIFEST_FILE), found, kind: CAMPAIGN_KIND.to_owned() };
+        let (text, stage) = match run_folder::read_state(folder)? {
+            RunState::Missing => {
                 return Err(CampaignError::Folder(format!("{}: no campaign has begun there", folder.display())));
             }
-            Found::HalfDone(kind) if kind == KIND => {
-                let path = folder.join(CONFIGURATION);
-                let bytes = disk::read(&path, MOST_BYTES)?.ok_or_else(|| WorkError::missing(&path))?;
-                let text = String::from_utf8(bytes).map_err(|error| damaged(CONFIGURATION, error.to_string()))?;
+            RunState::InProgress(kind) if kind == CAMPAIGN_KIND => {
+                let path = folder.join(CONFIGURATION_FILE);
+                let bytes = disk::read(&path, MAX_CONFIGURATION_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
+                let text = String::from_utf8(bytes).map_err(|error| damaged(CONFIGURATION_FILE, error.to_string()))?;
                 let following = JournalTail {
-                    identity: work::identity(KIND, &text)?,
+                    identity: run_folder::identity(CAMPAIGN_KIND, &text)?,
                     method: 0,
                     search: None,
-                    made: 0,
-                    asked: Vec::new(),
-                    told: Vec::new(),
+                    evaluation_count: 0,
+                    pending_points: Vec::new(),
+                    pending_costs: Vec::new(),
                 };
                 (text, ReaderStage::Running(following))
             }
-            Found::Finished(finished) if finished.kind() == KIND => {
-                let text = finished.read_configuration(CONFIGURATION)?;
-                let summary = Box::new(Summary::from_json(&finished.read(SUMMARY)?)?);
+            RunState::Complete(finished) if finished.kind() == CAMPAIGN_KIND => {
+                let text = finished.read_configuration(CONFIGURATION_FILE)?;
+                let summary = Box::new(CampaignSummary::from_json(&finished.read(SUMMARY_FILE)?)?);
                 let mut parts: Vec<String> =
-                    finished.names().into_iter().filter(|name| name.starts_with("evaluations/")).collect();
+                    finished.file_names().into_iter().filter(|name| name.starts_with("evaluations/")).collect();
                 parts.sort_unstable_by(|one, other| other.cmp(one));
                 (text, ReaderStage::Finished { finished, summary, parts })
             }
-            Found::HalfDone(kind) => return Err(other_kind(kind).into()),
-            Found::Finished(finished) => return Err(other_kind(finished.kind().to_owned()).into()),
+            RunState::InProgress(kind) => return Err(other_kind(kind).into()),
+            RunState::Complete(finished) => return Err(other_kind(finished.kind().to_owned()).into()),
         };
         let record: CampaignRecord =
-            toml::from_str(&text).map_err(|error| damaged(CONFIGURATION, error.message().to_owned()))?;
-        let terms = Terms::told(record, false).map_err(|problem| damaged(CONFIGURATION, problem))?;
+            toml::from_str(&text).map_err(|error| damaged(CONFIGURATION_FILE, error.message().to_owned()))?;
+        let terms = ResolvedConfig::from_record(record, false).map_err(|problem| damaged(CONFIGURATION_FILE, problem))?;
         let failures = Failures::new(terms.specification.clone());
-        Ok(Self { folder: folder.to_owned(), terms, evaluations: Vec::new(), failures, stage })
+        Ok(Self { folder: folder.to_owned(), config: terms, evaluations: Vec::new(), failures, stage })
     }
 
     /// Reads on, at most some `most` evaluations or one table. Whether more may be there at once.
@@ -105,27 +105,27 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError`] if what is there is damaged, or is not that campaign any more.
     pub fn poll(&mut self, most: usize) -> Result<bool, CampaignError> {
-        let most = most.min(MOST_SHOWN.saturating_sub(self.evaluations.len()));
+        let most = most.min(MAX_READ_EVALUATIONS.saturating_sub(self.evaluations.len()));
         match &mut self.stage {
             ReaderStage::Finished { finished, parts, .. } => {
                 let Some(name) = parts.last() else { return Ok(false) };
                 // A damaged table stays the next one, so that every later call reports the damage, too.
-                let rows = table::decode(name, &finished.read_bytes(name)?, &self.terms)?;
+                let rows = table::decode_part(name, &finished.read_bytes(name)?, &self.config)?;
                 parts.pop();
-                let left = MOST_SHOWN.saturating_sub(self.evaluations.len());
+                let left = MAX_READ_EVALUATIONS.saturating_sub(self.evaluations.len());
                 for (method, evaluated) in rows.into_iter().take(left) {
                     self.failures.add(&method, &evaluated);
                     self.evaluations.push((method, evaluated));
                 }
-                if self.evaluations.len() >= MOST_SHOWN {
+                if self.evaluations.len() >= MAX_READ_EVALUATIONS {
                     parts.clear();
                 }
                 Ok(!parts.is_empty())
             }
-            ReaderStage::Running(_) if !matches!(work::find(&self.folder)?, Found::HalfDone(_)) => {
+            ReaderStage::Running(_) if !matches!(run_folder::read_state(&self.folder)?, RunState::InProgress(_)) => {
                 // It has come to its end, and its tables have everything.
-                let now = Self::at(&self.folder)?;
-                if now.terms.record != self.terms.record {
+                let now = Self::open(&self.folder)?;
+                if now.config.record != self.config.record {
                     return Err(CampaignError::Folder(format!(
                         "{}: another campaign is there now",
                         self.folder.display()
@@ -136,12 +136,12 @@ impl CampaignReader {
             }
             ReaderStage::Running(following) => {
                 let known = self.evaluations.len();
-                let verdicts = journal::after(&self.folder.join(JOURNAL_FILE), &following.identity, known as u64, most)?;
+                let verdicts = journal::read_verdicts_after(&self.folder.join(JOURNAL_FILE), &following.identity, known as u64, most)?;
                 // Between its beginning and its journal, or between that and its end.
                 let Some(verdicts) = verdicts else { return Ok(false) };
                 let is_more = most > 0 && verdicts.len() == most;
                 for verdict in verdicts {
-                    let Some((method, evaluated)) = following.next(&self.terms, verdict) else { return Ok(false) };
+                    let Some((method, evaluated)) = following.next_evaluation(&self.config, verdict) else { return Ok(false) };
                     self.failures.add(&method, &evaluated);
                     self.evaluations.push((method, evaluated));
                 }
@@ -152,20 +152,20 @@ impl CampaignReader {
 
     /// Evaluations in the order in which they were made, as far as they were read and kept.
     #[must_use]
-    pub fn evaluations(&self) -> &[(Method, Evaluated)] {
+    pub fn evaluations(&self) -> &[(Method, EvaluatedPoint)] {
         &self.evaluations
     }
 
     /// What was put under test.
     #[must_use]
     pub fn controller(&self) -> &str {
-        &self.terms.record.controller
+        &self.config.record.controller
     }
 
     /// Returns true if a controller is the recorded one: by its name and, where the record states one, its identity.
     #[must_use]
     pub fn is_for_controller(&self, controller: &NamedController) -> bool {
-        let record = &self.terms.record;
+        let record = &self.config.record;
         controller.name == record.controller
             && controller.policy().map(|policy| policy.digest()) == record.policy_sha256
             && controller.disambiguating_hash() == record.controller_sha256
@@ -174,36 +174,36 @@ impl CampaignReader {
     /// What it looked through.
     #[must_use]
     pub fn estimator(&self) -> EstimatorKind {
-        self.terms.record.estimator
+        self.config.record.estimator
     }
 
     /// Where failures are looked for.
     #[must_use]
-    pub fn space(&self) -> &Space {
-        &self.terms.space
+    pub fn space(&self) -> &ScenarioSpace {
+        &self.config.space
     }
 
     /// What must hold.
     #[must_use]
     pub fn specification(&self) -> &Specification {
-        &self.terms.specification
+        &self.config.specification
     }
 
     /// The methods in the order in which they run.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
-        self.terms.methods()
+        self.config.methods()
     }
 
     /// Evaluations there will be, of all methods together.
     #[must_use]
     pub fn total_evaluations(&self) -> u64 {
-        self.terms.record.budget.saturating_mul(self.methods().len() as u64)
+        self.config.record.budget.saturating_mul(self.methods().len() as u64)
     }
 
     /// What it came to; none while it runs.
     #[must_use]
-    pub fn summary(&self) -> Option<&Summary> {
+    pub fn summary(&self) -> Option<&CampaignSummary> {
         match &self.stage {
             ReaderStage::Finished { summary, .. } => Some(summary),
             ReaderStage::Running(_) => None,
@@ -216,19 +216,19 @@ impl CampaignReader {
     pub fn front(&self) -> Vec<FrontPoint> {
         match &self.stage {
             ReaderStage::Finished { summary, .. } => summary.front.clone(),
-            ReaderStage::Running(_) => self.failures.front.points(&self.terms.specification, &self.terms.nominal),
+            ReaderStage::Running(_) => self.failures.front.points(&self.config.specification, &self.config.nominal),
         }
     }
 
     /// What happens in an evaluation, in words; none if nothing fails.
     #[must_use]
-    pub fn describe_failure(&self, evaluated: &Evaluated) -> Option<String> {
+    pub fn describe_failure(&self, evaluated: &EvaluatedPoint) -> Option<String> {
         let verdict = &evaluated.verdict;
         // A table does not say which controller failed.
-        if verdict.robustness == f64::NEG_INFINITY && verdict.contact.is_none() && verdict.failed.is_none() {
+        if verdict.robustness == f64::NEG_INFINITY && verdict.contact.is_none() && verdict.failure.is_none() {
             return Some("a controller fails".to_owned());
         }
-        FailureKind::of(verdict, &self.terms.specification).map(|kind| kind.describe(&self.terms.nominal))
+        FailureKind::from_verdict(verdict, &self.config.specification).map(|kind| kind.describe(&self.config.nominal))
     }
 
     /// The scenario of values, with the campaign's noise.
@@ -236,7 +236,7 @@ impl CampaignReader {
     /// # Errors
     /// [`CampaignError::Scenario`] for values outside the space.
     pub fn scenario(&self, values: &[f64]) -> Result<Scenario, CampaignError> {
-        Ok(self.terms.space.scenario(values)?)
+        Ok(self.config.space.scenario(values)?)
     }
 
     /// The file of a distinct failure, by its place in the summary; none if there is no such failure.
@@ -257,35 +257,35 @@ const CAMPAIGN_KIND: &str = "campaign";
 
 impl JournalTail {
     /// The evaluation that a verdict is of, as the search says that is told all of them; none beyond the last.
-    fn next_evaluation(&mut self, terms: &Terms, verdict: RunVerdict) -> Option<(Method, Evaluated)> {
+    fn next_evaluation(&mut self, terms: &ResolvedConfig, verdict: RunVerdict) -> Option<(Method, EvaluatedPoint)> {
         let methods = terms.methods();
         let (seed, budget) = (terms.record.seed, terms.record.budget);
-        if self.made == budget {
-            (self.method, self.made, self.search) = (self.method + 1, 0, None);
-            self.asked.clear();
-            self.told.clear();
+        if self.evaluation_count == budget {
+            (self.method, self.evaluation_count, self.search) = (self.method + 1, 0, None);
+            self.pending_points.clear();
+            self.pending_costs.clear();
         }
         let method = methods.get(self.method)?.clone();
         let search = self.search.get_or_insert_with(|| method.start(&terms.cube, seed));
-        if self.told.len() == self.asked.len() {
-            if !self.asked.is_empty() {
-                search.tell(&self.told);
+        if self.pending_costs.len() == self.pending_points.len() {
+            if !self.pending_points.is_empty() {
+                search.tell(&self.pending_costs);
             }
-            self.told.clear();
-            self.asked = search.ask();
-            self.asked.truncate(usize::try_from(budget - self.made).unwrap_or(usize::MAX));
+            self.pending_costs.clear();
+            self.pending_points = search.ask();
+            self.pending_points.truncate(usize::try_from(budget - self.evaluation_count).unwrap_or(usize::MAX));
         }
-        let point = self.asked.get(self.told.len())?.clone();
-        self.made += 1;
-        let evaluated = Evaluated {
-            number: self.made,
+        let point = self.pending_points.get(self.pending_costs.len())?.clone();
+        self.evaluation_count += 1;
+        let evaluated = EvaluatedPoint {
+            number: self.evaluation_count,
             values: terms.space.values(&point),
             ln_likelihood: terms.space.ln_likelihood(&point),
-            departure: terms.departure(&point),
+            distance_from_nominal: terms.distance_from_nominal(&point),
             point,
             verdict,
         };
-        self.told.push(terms.record.aim.value(&evaluated));
+        self.pending_costs.push(terms.record.objective.cost(&evaluated));
         Some((method, evaluated))
     }
 }

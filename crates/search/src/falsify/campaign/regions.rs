@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_world::scenario::space::{Parameter, Space};
+use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
 
 /// Splits on the way to a region, at most.
 const MAX_DEPTH: usize = 3;
@@ -47,19 +47,19 @@ impl LabelledPoints {
     }
 
     pub(super) fn is_full(&self) -> bool {
-        self.points.len() >= MOST_POINTS
+        self.points.len() >= MAX_POINTS
     }
 
     /// The regions, the densest in failures first; none if nothing or everything fails.
-    pub(super) fn find_regions(&self, space: &Space) -> Vec<Region> {
+    pub(super) fn find_regions(&self, space: &ScenarioSpace) -> Vec<Region> {
         let all: Vec<&(Vec<f64>, bool)> = self.points.iter().collect();
-        let failing = failures(&all);
+        let failing = count_failures(&all);
         if failing == 0 || failing == all.len() {
             return Vec::new();
         }
-        let mut grower = TreeGrower { space, total: all.len(), failing, found: Vec::new() };
+        let mut grower = TreeGrower { space, total: all.len(), failing, regions: Vec::new() };
         grower.grow(&all, &mut Vec::new());
-        let mut found = grower.found;
+        let mut found = grower.regions;
         found.sort_by(|a, b| b.failing_percent.total_cmp(&a.failing_percent));
         found
     }
@@ -70,7 +70,7 @@ fn count_failures(points: &[&(Vec<f64>, bool)]) -> usize {
 }
 
 struct TreeGrower<'a> {
-    space: &'a Space,
+    space: &'a ScenarioSpace,
     total: usize,
     failing: usize,
     regions: Vec<Region>,
@@ -87,9 +87,9 @@ impl TreeGrower<'_> {
     fn grow(&mut self, points: &[&(Vec<f64>, bool)], path: &mut Vec<(Split, bool)>) {
         let split = if path.len() < MAX_DEPTH { self.best_split(points) } else { None };
         let Some(split) = split else {
-            let failing = failures(points);
+            let failing = count_failures(points);
             let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
-            self.found.push(Region {
+            self.regions.push(Region {
                 conditions: self.conditions(path),
                 points: points.len(),
                 failing,
@@ -109,8 +109,8 @@ impl TreeGrower<'_> {
 
     /// The split that lowers the Gini impurity most (Breiman and others, Classification and regression trees, 1984).
     fn best_split(&self, points: &[&(Vec<f64>, bool)]) -> Option<Split> {
-        let failing = failures(points);
-        let least = (LEAST_SHARE * self.total as f64).max(1.0);
+        let failing = count_failures(points);
+        let least = (MIN_SHARE * self.total as f64).max(1.0);
         let impurity = |failing: f64, count: f64| failing * (count - failing) / count;
         let before = impurity(failing as f64, points.len() as f64);
         let mut best: Option<(f64, Split)> = None;
@@ -135,7 +135,7 @@ impl TreeGrower<'_> {
 
     fn conditions(&self, path: &[(Split, bool)]) -> Vec<String> {
         let names = self.space.coordinate_names();
-        let parameters: Vec<&Parameter> = self.space.coordinate_parameters().collect();
+        let parameters: Vec<&SpaceParameter> = self.space.coordinate_parameters().collect();
         // Several splits of one coordinate are one range.
         let mut coordinates: Vec<usize> = Vec::new();
         for (split, _) in path {
@@ -150,9 +150,9 @@ impl TreeGrower<'_> {
                 |below: bool| on.clone().filter(move |(_, side)| *side == below).map(|(split, _)| split.threshold);
             let most = bound(true).reduce(f64::min);
             let least = bound(false).reduce(f64::max);
-            if parameter.is_named() {
+            if parameter.has_named_values() {
                 let [low, high] = parameter.range();
-                return Some(format!("{name} = {}", parameter.show(if most.is_some() { low } else { high })));
+                return Some(format!("{name} = {}", parameter.format_value(if most.is_some() { low } else { high })));
             }
             let unit = if parameter.unit() == "1" { String::new() } else { format!(" {}", parameter.unit()) };
             Some(match (least, most) {
@@ -174,7 +174,7 @@ impl Split {
 
 /// Thresholds spread evenly over a parameter's range on its own scale, rounded to a hundredth of the step to the next one so
 /// that they can be read out.
-fn thresholds(parameter: &Parameter) -> Vec<f64> {
+fn thresholds(parameter: &SpaceParameter) -> Vec<f64> {
     let [low, high] = parameter.range();
     if parameter.is_choice() {
         return vec![0.5 * (low + high)];

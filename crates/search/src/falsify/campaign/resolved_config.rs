@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use super::config::{CampaignRecord, methods};
+use super::config::{CampaignRecord, with_reference_methods};
 use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluationLog};
 use crate::falsify::{UnitCube, Method};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 
 /// What evaluations are of, and how what was found is told.
 #[derive(Debug, Clone)]
@@ -16,7 +16,7 @@ pub(in crate::falsify) struct ResolvedConfig {
     /// Whether the controller says so of itself.
     pub(in crate::falsify) nondeterministic: bool,
     /// With its noise.
-    pub(in crate::falsify) space: Space,
+    pub(in crate::falsify) space: ScenarioSpace,
     pub(in crate::falsify) specification: Specification,
     pub(in crate::falsify) cube: UnitCube,
     /// The nominal scenario, and where it is in the cube.
@@ -26,17 +26,17 @@ pub(in crate::falsify) struct ResolvedConfig {
 
 impl ResolvedConfig {
     pub(super) fn from_campaign(campaign: &Campaign, log: EvaluationLog) -> Result<Self, CampaignError> {
-        let record = CampaignRecord::of(campaign, log);
-        let is_deterministic = campaign.drivers().all(|driver| driver.kind.is_deterministic());
-        Self::with(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
+        let record = CampaignRecord::from_campaign(campaign, log);
+        let is_deterministic = campaign.controllers().all(|driver| driver.kind.is_deterministic());
+        Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
     }
 
     /// From what a file says of a campaign that can be divided.
     pub(super) fn from_shard_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
-        if record.divided.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
+        if record.sharding.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
             return Err("not a campaign that can be divided".to_owned());
         }
-        Self::told(record, nondeterministic)
+        Self::from_record(record, nondeterministic)
     }
 
     /// From what a file says.
@@ -45,32 +45,32 @@ impl ResolvedConfig {
             return Err(format!("version: {}, and this release reads {CAMPAIGN_VERSION}", record.version));
         }
         // A space is written with its base spelled out, so that no folder is looked into.
-        let space = Space::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
+        let space = ScenarioSpace::new(record.space.clone(), Path::new("")).map_err(|error| format!("space: {error}"))?;
         if *space.spec() != record.space {
             return Err("space: not as crumple writes it".to_owned());
         }
         let text = record.specification.clone();
-        let specification = |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::encoding);
-        Self::with(record, nondeterministic, space, specification).map_err(|error| error.to_string())
+        let specification = |nominal: &Scenario| Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error);
+        Self::resolve(record, nondeterministic, space, specification).map_err(|error| error.to_string())
     }
 
     fn resolve(
         record: CampaignRecord,
         nondeterministic: bool,
-        space: Space,
+        space: ScenarioSpace,
         specification: impl FnOnce(&Scenario) -> Result<Specification, CampaignError>,
     ) -> Result<Self, CampaignError> {
         let space = space.with_noise_seed(record.seed);
         let nominal = space.scenario(&space.nominal())?;
         let specification = specification(&nominal)?;
-        let cube = UnitCube::of(&space).map_err(CampaignError::encoding)?;
+        let cube = UnitCube::from_space(&space).map_err(CampaignError::from_encoding_error)?;
         let nominal_point = space.point(&space.nominal());
         Ok(Self { record, nondeterministic, space, specification, cube, nominal, nominal_point })
     }
 
     /// The methods in the order in which they run.
     pub(super) fn methods(&self) -> Vec<Method> {
-        methods(&self.record.method)
+        with_reference_methods(&self.record.method)
     }
 
     /// Distance from nominal: mean over the parameters.

@@ -3,20 +3,20 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::findings::{Findings, Reached};
+use super::findings::{CampaignFindings, MethodResults};
 use super::journal::Journal;
-use super::summary::Summary;
-use super::table::Table;
-use super::resolved_config::Terms;
-use super::{Campaign, CampaignError, CampaignOptions, Evaluated, EvaluationLog};
+use super::summary::CampaignSummary;
+use super::table::EvaluationTable;
+use super::resolved_config::ResolvedConfig;
+use super::{Campaign, CampaignError, CampaignOptions, EvaluatedPoint, EvaluationLog};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
-use crumple_store::work::{Asked, Examined, Work, WorkError};
+use crumple_store::run_folder::{RunFolderOptions, FolderExamination, RunFolder, RunFolderError};
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 
 /// Batches of a method that ignores values, asked for at once: enough to fill the engine on all cores.
@@ -42,12 +42,12 @@ pub struct CampaignProgress {
 /// A part of every method's budget, under way in a folder.
 pub(super) struct CampaignRun<'a> {
     pub(super) campaign: &'a Campaign,
-    pub(super) config: &'a Terms,
-    pub(super) run_folder: &'a Work,
+    pub(super) config: &'a ResolvedConfig,
+    pub(super) run_folder: &'a RunFolder,
     pub(super) journal: Journal,
     /// Where every evaluation goes, if it is kept.
-    pub(super) table: Option<Table<'a>>,
-    pub(super) findings: Findings,
+    pub(super) table: Option<EvaluationTable<'a>>,
+    pub(super) findings: CampaignFindings,
     /// Evaluations of each method, counted from 0.
     pub(super) evaluation_range: Range<u64>,
 }
@@ -62,43 +62,43 @@ impl Campaign {
         folder: &Path,
         CampaignOptions { log, resume }: CampaignOptions,
         observer: &dyn Observer<CampaignProgress>,
-    ) -> Result<Summary, CampaignError> {
-        if let Some(unknown) = self.drivers().find(|driver| resume && driver.kind.identity().is_none()) {
+    ) -> Result<CampaignSummary, CampaignError> {
+        if let Some(unknown) = self.controllers().find(|driver| resume && driver.kind.identity().is_none()) {
             return Err(CampaignError::NoIdentity(unknown.name.clone()));
         }
-        let terms = Terms::of(self, log)?;
+        let terms = ResolvedConfig::from_campaign(self, log)?;
         self.check(&terms.nominal)?;
         let configuration = terms.record.to_toml()?;
-        let work = open(folder, &configuration, resume)?;
+        let work = open_run_folder(folder, &configuration, resume)?;
         if work.is_complete() {
-            return Summary::from_json(&String::from_utf8_lossy(&work.read_required(SUMMARY)?));
+            return CampaignSummary::from_json(&String::from_utf8_lossy(&work.read_required(SUMMARY_FILE)?));
         }
-        work.changes().write(CONFIGURATION, configuration).grow(JOURNAL_FILE).commit()?;
+        work.transaction().write(CONFIGURATION_FILE, configuration).append_only(JOURNAL_FILE).commit()?;
         let mut searching = CampaignRun {
             campaign: self,
-            terms: &terms,
-            work: &work,
+            config: &terms,
+            run_folder: &work,
             journal: Journal::open_in_folder(&work, JOURNAL_FILE, resume)?,
-            table: (log == EvaluationLog::Full).then(|| Table::new(&terms.space, &work)),
-            findings: Findings::of(&terms),
-            part: 0..self.budget,
+            table: (log == EvaluationLog::Full).then(|| EvaluationTable::new(&terms.space, &work)),
+            findings: CampaignFindings::new(&terms),
+            evaluation_range: 0..self.budget,
         };
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
         let CampaignRun { table, findings, .. } = &mut searching;
         // Until all of this is there, the journal is.
-        let mut results = work.changes();
+        let mut results = work.transaction();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
-        let progress = state(None, &findings.reached, self.total(&(0..self.budget)));
+        let progress = campaign_progress(None, &findings.method_results, self.total_evaluations(&(0..self.budget)));
         observer.notify(&progress)?;
-        let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { terms: &terms });
-        let mut distinct = recorder.distinct(examiner.examine_all(&findings.failures.picks(MAX_EXAMINED_KINDS))?);
+        let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
+        let mut distinct = recorder.select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
         examiner.classify_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
-        let summary = Summary::of(&terms, findings, counterexamples, &[])?;
+        let summary = CampaignSummary::from_findings(&terms, findings, counterexamples, &[])?;
         observer.notify(&progress)?;
-        results.write(TEXT, summary.to_text()).write(SUMMARY, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
+        results.write(SUMMARY_TEXT_FILE, summary.to_text()).write(SUMMARY_FILE, summary.to_json()?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
         Ok(summary)
     }
@@ -110,25 +110,25 @@ impl Campaign {
     /// What would fail at every point fails before anything is written.
     pub(super) fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
         if !nominal.has_vehicle_under_test() {
-            return Err(CampaignError::NobodyUnderTest(self.space.name().to_owned()));
+            return Err(CampaignError::NoVehicleUnderTest(self.space.name().to_owned()));
         }
-        if self.contrast.as_ref().is_some_and(|contrast| contrast.is_self_comparison(&self.controller)) {
-            return Err(CampaignError::AgainstItself(self.controller.name.clone()));
+        if self.failure_criterion.as_ref().is_some_and(|contrast| contrast.is_self_comparison(&self.controller)) {
+            return Err(CampaignError::ComparedWithItself(self.controller.name.clone()));
         }
-        self.judging().at(nominal, 1)?;
+        self.evaluator().evaluate(nominal, 1)?;
         self.ensure_all_trusted()
     }
 
     /// Whether what was found with the controllers would come out again: asked before anything of it is kept or told.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), CampaignError> {
-        Ok(self.drivers().try_for_each(NamedController::ensure_trusted)?)
+        Ok(self.controllers().try_for_each(NamedController::ensure_trusted)?)
     }
 
     /// Verdicts at points, in their order.
-    pub(super) fn evaluate(&self, space: &Space, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
-        let scenarios = points.iter().map(|point| space.at(point)).collect::<Result<Vec<_>, _>>()?;
+    pub(super) fn evaluate(&self, space: &ScenarioSpace, points: &[Vec<f64>]) -> Result<Vec<RunVerdict>, CampaignError> {
+        let scenarios = points.iter().map(|point| space.scenario_at(point)).collect::<Result<Vec<_>, _>>()?;
         let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
-        let verdicts = self.judging().evaluate_all(&asked).into_iter().collect::<Result<_, _>>()?;
+        let verdicts = self.evaluator().evaluate_all(&asked).into_iter().collect::<Result<_, _>>()?;
         self.ensure_all_trusted()?;
         Ok(verdicts)
     }
@@ -139,31 +139,31 @@ impl CampaignRun<'_> {
     pub(super) fn search_all(&mut self, observer: &dyn Observer<CampaignProgress>) -> Result<(), CampaignError> {
         for method in self.campaign.methods() {
             let reached = self.search(method, observer)?;
-            self.findings.reached.push(reached);
+            self.findings.method_results.push(reached);
         }
         Ok(())
     }
 
     /// Finds out why the other controller gave no answer where it did not: a journal does not say.
     pub(super) fn find_unanswered_reasons(&mut self) -> Result<(), CampaignError> {
-        for reached in &mut self.findings.reached {
+        for reached in &mut self.findings.method_results {
             if let Some(silent) = &mut reached.other_unanswered {
-                let because = self.campaign.judging().partner_failure_reason(&self.terms.space.scenario(&silent.values)?);
+                let because = self.campaign.evaluator().partner_failure_reason(&self.config.space.scenario(&silent.values)?);
                 silent.because = because.unwrap_or_else(|| "it answers when it is asked again".to_owned());
             }
         }
         self.campaign.ensure_all_trusted()
     }
 
-    pub(super) fn progress(&self, current: Option<&Reached>) -> CampaignProgress {
-        state(current, &self.findings.reached, self.campaign.total(&self.part))
+    pub(super) fn progress(&self, current: Option<&MethodResults>) -> CampaignProgress {
+        campaign_progress(current, &self.findings.method_results, self.campaign.total_evaluations(&self.evaluation_range))
     }
 
-    fn search(&mut self, method: Method, observer: &dyn Observer<CampaignProgress>) -> Result<Reached, CampaignError> {
-        let (terms, space) = (self.terms, &self.terms.space);
-        let mut search = method.start_after(self.part.start, &terms.cube, terms.record.seed);
-        let mut reached = Reached::new(method.clone(), space.dimension());
-        let budget = self.part.end - self.part.start;
+    fn search(&mut self, method: Method, observer: &dyn Observer<CampaignProgress>) -> Result<MethodResults, CampaignError> {
+        let (terms, space) = (self.config, &self.config.space);
+        let mut search = method.start_after(self.evaluation_range.start, &terms.cube, terms.record.seed);
+        let mut reached = MethodResults::new(method.clone(), space.dimension());
+        let budget = self.evaluation_range.end - self.evaluation_range.start;
         while reached.evaluations < budget {
             let mut points = search.ask();
             if method.is_blind() {
@@ -178,7 +178,7 @@ impl CampaignRun<'_> {
             }
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
-                && let Some(verdict) = self.journal.next()?
+                && let Some(verdict) = self.journal.next_verdict()?
             {
                 verdicts.push(verdict);
             }
@@ -187,19 +187,19 @@ impl CampaignRun<'_> {
             // An observer that stops the campaign may have ended runs early: their verdicts are not kept.
             observer.notify(&self.progress(Some(&reached)))?;
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
-                self.work.grew(JOURNAL_FILE, durable)?;
+                self.run_folder.record_prefix(JOURNAL_FILE, durable)?;
             }
             let mut told = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
-                let evaluated = Evaluated {
-                    number: self.part.start + reached.evaluations + 1,
+                let evaluated = EvaluatedPoint {
+                    number: self.evaluation_range.start + reached.evaluations + 1,
                     values: space.values(&point),
                     ln_likelihood: space.ln_likelihood(&point),
-                    departure: terms.departure(&point),
+                    distance_from_nominal: terms.distance_from_nominal(&point),
                     point,
                     verdict,
                 };
-                told.push(self.campaign.aim.value(&evaluated));
+                told.push(self.campaign.objective.cost(&evaluated));
                 self.findings.add(&mut reached, &evaluated);
                 if let Some(table) = &mut self.table {
                     table.add(&method, &evaluated)?;
@@ -213,25 +213,25 @@ impl CampaignRun<'_> {
 }
 
 /// A folder for a campaign, if it is this one's or nobody's; where it is another's, the error says in what they differ.
-pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) -> Result<Work, CampaignError> {
-    let asked = Asked {
-        kind: CAMPAIGN,
+pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) -> Result<RunFolder, CampaignError> {
+    let asked = RunFolderOptions {
+        kind: CAMPAIGN_KIND,
         configuration,
-        configuration_file: CONFIGURATION,
+        configuration_file: CONFIGURATION_FILE,
         resume,
         outputs: &[
-            CONFIGURATION,
+            CONFIGURATION_FILE,
             JOURNAL_FILE,
-            SUMMARY,
-            TEXT,
+            SUMMARY_FILE,
+            SUMMARY_TEXT_FILE,
             "counterexamples/",
             "counterexamples/originals/",
             "counterexamples/escapes/",
             "evaluations/",
         ],
     };
-    match Work::open(folder, asked) {
-        Err(WorkError::OtherConfiguration { path, found, .. }) => {
+    match RunFolder::open(folder, asked) {
+        Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
             Err(CampaignError::Folder(difference::describe_toml(&path, "campaign", &found, configuration)))
         }
         work => Ok(work?),
@@ -242,11 +242,11 @@ pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) 
 ///
 /// # Errors
 /// [`WorkError::Disk`] if it cannot be read. What is damaged is in what was found, as for every other file.
-pub fn verify_journal(folder: &Path, mut found: Examined) -> Result<Examined, WorkError> {
+pub fn verify_journal(folder: &Path, mut found: FolderExamination) -> Result<FolderExamination, RunFolderError> {
     let Some(identity) = &found.identity else { return Ok(found) };
     if let Some((_, state @ Ok(()))) = found.files.iter_mut().find(|(name, _)| name == JOURNAL_FILE) {
-        match Journal::look(&folder.join(JOURNAL_FILE), identity) {
-            Err(WorkError::Damaged { problem, .. }) => *state = Err(problem),
+        match Journal::verify(&folder.join(JOURNAL_FILE), identity) {
+            Err(RunFolderError::Damaged { problem, .. }) => *state = Err(problem),
             looked => looked?,
         }
     }
@@ -261,7 +261,7 @@ pub(super) const JOURNAL_FILE: &str = "evaluations.journal";
 pub(super) const SUMMARY_FILE: &str = "summary.json";
 pub(super) const SUMMARY_TEXT_FILE: &str = "summary.txt";
 
-fn campaign_progress(current: Option<&Reached>, done: &[Reached], total: u64) -> CampaignProgress {
+fn campaign_progress(current: Option<&MethodResults>, done: &[MethodResults], total: u64) -> CampaignProgress {
     let all = || done.iter().chain(current);
     CampaignProgress {
         method: current.map(|reached| reached.method.clone()),

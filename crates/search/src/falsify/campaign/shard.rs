@@ -13,23 +13,23 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::config::CampaignRecord;
-use super::failures::{Failures, Kind};
-use super::findings::{Findings, Reached};
-use super::front::Front;
+use super::failures::{Failures, FailureGroup};
+use super::findings::{CampaignFindings, MethodResults};
+use super::front::ParetoFront;
 use super::journal::Journal;
-use super::run::{CampaignProgress, JOURNAL_FILE, Searching};
-use super::resolved_config::Terms;
+use super::run::{CampaignProgress, JOURNAL_FILE, CampaignRun};
+use super::resolved_config::ResolvedConfig;
 use super::{Campaign, CampaignError, FailureCandidate, FailureKind, EvaluationLog};
 use crate::falsify::Method;
-use crate::falsify::counterexample::{Examined, ExaminedFailureRecord, Examiner};
+use crate::falsify::counterexample::{ExaminedFailure, ExaminedFailureRecord, Examiner};
 use crumple_core::observer::Observer;
-use crumple_store::shard::{Shard, Sharded, open_shard};
-use crumple_store::work::{Finished, WorkError};
+use crumple_store::shard::{ShardId, Sharded, open_shard};
+use crumple_store::run_folder::{CompletedRun, RunFolderError};
 
 /// What a folder of one is called in its `work.json`.
 pub const CAMPAIGN_SHARD_KIND: &str = "shard of a campaign";
 
-const FINDINGS_FILE: &str = ShardedCampaign::RESULTS;
+const FINDINGS_FILE: &str = ShardedCampaign::RESULTS_FILE;
 
 /// Everything that decides a campaign that is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -41,14 +41,14 @@ pub(super) struct ShardedCampaign {
 impl Sharded for ShardedCampaign {
     const KIND: &'static str = CAMPAIGN_SHARD_KIND;
     const VERSION: u32 = 1;
-    const RESULTS: &'static str = "findings.json";
-    const PARTS: &'static str = "evaluations of each method";
+    const RESULTS_FILE: &'static str = "findings.json";
+    const PARTS_NAME: &'static str = "evaluations of each method";
 
-    fn parts(&self) -> u64 {
+    fn part_count(&self) -> u64 {
         self.campaign.budget
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    fn differing_field(&self, other: &Self) -> Option<String> {
         if self == other {
             return None;
         }
@@ -64,7 +64,7 @@ impl Sharded for ShardedCampaign {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FindingsFile {
-    methods: Vec<Reached>,
+    methods: Vec<MethodResults>,
     kinds: Vec<FailureGroupRecord>,
     front: Vec<FailureCandidate>,
     examined: Vec<ExaminedFailureRecord>,
@@ -102,50 +102,50 @@ impl Campaign {
     /// scenario cannot be run, or `observer` stops the shard.
     pub fn run_shard(
         &self,
-        shard: Shard,
+        shard: ShardId,
         folder: &Path,
         resume: bool,
         observer: &dyn Observer<CampaignProgress>,
-    ) -> Result<ShardDone, CampaignError> {
-        let part = shard.range(self.budget, ShardedCampaign::PARTS)?;
-        if let Some(unknown) = self.drivers().find(|driver| driver.kind.identity().is_none()) {
-            return Err(CampaignError::UnknownInShards(unknown.name.clone()));
+    ) -> Result<ShardSummary, CampaignError> {
+        let part = shard.range(self.budget, ShardedCampaign::PARTS_NAME)?;
+        if let Some(unknown) = self.controllers().find(|driver| driver.kind.identity().is_none()) {
+            return Err(CampaignError::NoIdentityInShards(unknown.name.clone()));
         }
         if let Method::Custom(_) = self.method {
-            return Err(CampaignError::CustomInShards(self.method.name().to_owned()));
+            return Err(CampaignError::CustomMethodInShards(self.method.name().to_owned()));
         }
-        let terms = Terms::of(self, EvaluationLog::Summary)?;
+        let terms = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
         self.check(&terms.nominal)?;
         let (nondeterministic, campaign) = (terms.nondeterministic, terms.record.clone());
         let work = open_shard(&ShardedCampaign { nondeterministic, campaign }, shard, folder, resume)?;
         if work.is_complete() {
-            let read = serde_json::from_slice(&work.read_required(FINDINGS)?);
-            return Ok(FindingsFile::done(&read.map_err(CampaignError::encoding)?));
+            let read = serde_json::from_slice(&work.read_required(FINDINGS_FILE)?);
+            return Ok(FindingsFile::summary(&read.map_err(CampaignError::from_encoding_error)?));
         }
-        work.changes().grow(JOURNAL_FILE).commit()?;
+        work.transaction().append_only(JOURNAL_FILE).commit()?;
         let journal = Journal::open_in_folder(&work, JOURNAL_FILE, resume)?;
-        let findings = Findings::of(&terms);
+        let findings = CampaignFindings::new(&terms);
         let mut searching =
-            Searching { campaign: self, terms: &terms, work: &work, journal, table: None, findings, part };
+            CampaignRun { campaign: self, config: &terms, run_folder: &work, journal, table: None, findings, evaluation_range: part };
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
         observer.notify(&searching.progress(None))?;
         let (findings, examiner) = (&searching.findings, Examiner::new(self, &terms));
         // Of all kinds: which are the most frequent in the end is not known here.
-        let mut examined = examiner.examine_all(&findings.failures.picks(usize::MAX))?;
+        let mut examined = examiner.examine_all(&findings.failures.examination_candidates(usize::MAX))?;
         examiner.classify_all(&mut examined);
         self.ensure_all_trusted()?;
         observer.notify(&searching.progress(None))?;
-        let file = FindingsFile::of(findings, &examined)?;
-        work.changes().write(FINDINGS, json(&file)?).remove(JOURNAL_FILE).commit()?;
+        let file = FindingsFile::from_findings(findings, &examined)?;
+        work.transaction().write(FINDINGS_FILE, to_json(&file)?).remove(JOURNAL_FILE).commit()?;
         work.finish()?;
-        Ok(file.done())
+        Ok(file.summary())
     }
 }
 
 impl FindingsFile {
-    fn from_findings(findings: &Findings, examined: &[Examined]) -> Result<Self, CampaignError> {
-        let row = |kind: &Kind| FailureGroupRecord {
+    fn from_findings(findings: &CampaignFindings, examined: &[ExaminedFailure]) -> Result<Self, CampaignError> {
+        let row = |kind: &FailureGroup| FailureGroupRecord {
             by_method: kind.by_method.clone(),
             first: kind.first.clone(),
             severest: kind.severest.clone(),
@@ -154,21 +154,21 @@ impl FindingsFile {
         let is_examined = |pick: &&&FailureCandidate| {
             examined.iter().any(|one| (&one.method, one.number) == (&pick.method, pick.number))
         };
-        let picks = findings.failures.picks(usize::MAX);
+        let picks = findings.failures.examination_candidates(usize::MAX);
         let not_reproduced =
             picks.iter().filter(|pick| !is_examined(pick)).map(|pick| (pick.method.clone(), pick.number));
         Ok(Self {
-            methods: findings.reached.clone(),
-            kinds: findings.failures.kinds.iter().map(row).collect(),
+            methods: findings.method_results.clone(),
+            kinds: findings.failures.groups.iter().map(row).collect(),
             front: findings.failures.front.failures().to_vec(),
-            examined: examined.iter().map(ExaminedFailureRecord::of).collect::<Result<_, _>>()?,
+            examined: examined.iter().map(ExaminedFailureRecord::from_examined).collect::<Result<_, _>>()?,
             not_reproduced: not_reproduced.collect(),
         })
     }
 
-    fn summary(&self) -> ShardDone {
-        let sum = |of: fn(&Reached) -> u64| self.methods.iter().map(of).fold(0, u64::saturating_add);
-        ShardDone {
+    fn summary(&self) -> ShardSummary {
+        let sum = |of: fn(&MethodResults) -> u64| self.methods.iter().map(of).fold(0, u64::saturating_add);
+        ShardSummary {
             evaluations: sum(|reached| reached.evaluations),
             failures: sum(|reached| reached.failures),
             kinds: self.kinds.len(),
@@ -176,45 +176,45 @@ impl FindingsFile {
     }
 
     /// What it says, unless no evaluations in that part can have come to it.
-    fn into_findings(self, terms: &Terms, part: &Range<u64>) -> Result<(Findings, Vec<Examined>), String> {
+    fn into_findings(self, terms: &ResolvedConfig, part: &Range<u64>) -> Result<(CampaignFindings, Vec<ExaminedFailure>), String> {
         let methods = terms.methods();
         let dimension = terms.space.dimension();
         let is_sound = self.methods.iter().map(|reached| &reached.method).eq(&methods)
-            && self.methods.iter().all(|reached| reached.is_sound(part, dimension));
+            && self.methods.iter().all(|reached| reached.is_consistent_with(part, dimension));
         if !is_sound {
             return Err("methods: not what this part of the budget comes to".to_owned());
         }
         let mut failures = Failures::new(terms.specification.clone());
         for row in self.kinds {
-            let kind = row.read(terms, &methods, part)?;
-            if failures.kinds.iter().any(|known| known.kind == kind.kind) {
+            let kind = row.into_group(terms, &methods, part)?;
+            if failures.groups.iter().any(|known| known.kind == kind.kind) {
                 return Err("kinds: one of them twice".to_owned());
             }
-            failures.kinds.push(kind);
+            failures.groups.push(kind);
         }
         // Every failure is of one kind, and the severest of all is the severest of its own.
-        for Reached { method, first, failures: failed, .. } in &self.methods {
-            let by_method = || failures.kinds.iter().flat_map(|kind| &kind.by_method).filter(|(by, ..)| by == method);
+        for MethodResults { method, first, failures: failed, .. } in &self.methods {
+            let by_method = || failures.groups.iter().flat_map(|kind| &kind.by_method).filter(|(by, ..)| by == method);
             let counted = by_method().map(|(_, count, _)| *count).fold(0, u64::saturating_add);
             if counted != *failed || by_method().map(|(.., first)| *first).min() != *first {
                 return Err(format!("kinds: not the failures that {method} has found"));
             }
         }
         let best = self.methods.iter().map(|reached| reached.best).fold(f64::INFINITY, f64::min);
-        let severest = failures.kinds.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
-        if !failures.kinds.is_empty() && best != severest {
+        let severest = failures.groups.iter().map(|kind| kind.severest.verdict.robustness).fold(f64::INFINITY, f64::min);
+        if !failures.groups.is_empty() && best != severest {
             return Err("kinds: without the severest failure".to_owned());
         }
         let is_failure = |found: &FailureCandidate| {
-            let kind = found.kind(terms, &methods, part);
-            kind.is_some_and(|kind| failures.kinds.iter().any(|known| known.kind == kind))
+            let kind = found.checked_kind(terms, &methods, part);
+            kind.is_some_and(|kind| failures.groups.iter().any(|known| known.kind == kind))
         };
-        if self.front.is_empty() != failures.kinds.is_empty() || !self.front.iter().all(is_failure) {
+        if self.front.is_empty() != failures.groups.is_empty() || !self.front.iter().all(is_failure) {
             return Err("front: not failures of this campaign".to_owned());
         }
-        failures.front = Front::of(self.front);
-        let picks = failures.picks(usize::MAX);
-        let looked_at = self.examined.iter().map(ExaminedFailureRecord::found_at).chain(self.not_reproduced.iter().cloned());
+        failures.front = ParetoFront::from_failures(self.front);
+        let picks = failures.examination_candidates(usize::MAX);
+        let looked_at = self.examined.iter().map(ExaminedFailureRecord::evaluation_id).chain(self.not_reproduced.iter().cloned());
         let mut looked_at: Vec<(Method, u64)> = looked_at.collect();
         let mut wanted: Vec<(Method, u64)> = picks.iter().map(|pick| (pick.method.clone(), pick.number)).collect();
         let order = |(method, number): &(Method, u64)| (methods.iter().position(|known| known == method), *number);
@@ -223,15 +223,15 @@ impl FindingsFile {
         if looked_at != wanted {
             return Err("examined: not the failures that are looked at closely".to_owned());
         }
-        let examined = self.examined.into_iter().map(|row| row.read(terms)).collect::<Result<_, _>>()?;
-        Ok((Findings { reached: self.methods, failures }, examined))
+        let examined = self.examined.into_iter().map(|row| row.into_examined(terms)).collect::<Result<_, _>>()?;
+        Ok((CampaignFindings { method_results: self.methods, failures }, examined))
     }
 }
 
 impl FailureGroupRecord {
-    fn into_group(self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Result<Kind, String> {
+    fn into_group(self, terms: &ResolvedConfig, methods: &[Method], part: &Range<u64>) -> Result<FailureGroup, String> {
         let Self { by_method, first, severest, likeliest } = self;
-        let [kind, others @ ..] = [&first, &severest, &likeliest].map(|found| found.kind(terms, methods, part));
+        let [kind, others @ ..] = [&first, &severest, &likeliest].map(|found| found.checked_kind(terms, methods, part));
         let Some(kind) = kind.filter(|kind| others.iter().all(|other| other == &Some(*kind))) else {
             return Err("kinds: not failures of this campaign".to_owned());
         };
@@ -247,7 +247,7 @@ impl FailureGroupRecord {
         let is_severest =
             [&first, &likeliest].iter().all(|found| found.verdict.robustness >= severest.verdict.robustness);
         match is_counted && is_severest {
-            true => Ok(Kind { kind, by_method, first, severest, likeliest }),
+            true => Ok(FailureGroup { kind, by_method, first, severest, likeliest }),
             false => Err("kinds: not counted in this part of the budget".to_owned()),
         }
     }
@@ -255,21 +255,21 @@ impl FailureGroupRecord {
 
 impl FailureCandidate {
     /// Its kind, if it is one that these evaluations can have met.
-    fn checked_kind(&self, terms: &Terms, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
+    fn checked_kind(&self, terms: &ResolvedConfig, methods: &[Method], part: &Range<u64>) -> Option<FailureKind> {
         let is_made = methods.contains(&self.method)
             && part.contains(&self.number.wrapping_sub(1))
             && terms.space.contains(&self.values)
             // But for rounding.
-            && (0.0..=1.0 + 1e-9).contains(&self.departure)
+            && (0.0..=1.0 + 1e-9).contains(&self.distance_from_nominal)
             && !self.ln_likelihood.is_nan();
-        FailureKind::of(&self.verdict, &terms.specification).filter(|_| is_made)
+        FailureKind::from_verdict(&self.verdict, &terms.specification).filter(|_| is_made)
     }
 }
 
 /// Findings of a finished shard.
 pub(super) struct ShardFindings {
-    pub(super) findings: Findings,
-    pub(super) examined: Vec<Examined>,
+    pub(super) findings: CampaignFindings,
+    pub(super) examined: Vec<ExaminedFailure>,
     /// Text of the file.
     pub(super) text: String,
 }
@@ -279,14 +279,14 @@ impl ShardFindings {
     ///
     /// # Errors
     /// [`WorkError`] if the file is not as it was written, or no such part comes to it.
-    pub(super) fn read(found: &Finished, part: &Range<u64>, terms: &Terms) -> Result<Self, WorkError> {
-        let text = found.read(FINDINGS)?;
-        let file: FindingsFile = serde_json::from_str(&text).map_err(|error| found.unreadable(FINDINGS, &error))?;
-        let (findings, examined) = file.read(terms, part).map_err(|problem| found.damaged(FINDINGS, problem))?;
+    pub(super) fn read(found: &CompletedRun, part: &Range<u64>, terms: &ResolvedConfig) -> Result<Self, RunFolderError> {
+        let text = found.read(FINDINGS_FILE)?;
+        let file: FindingsFile = serde_json::from_str(&text).map_err(|error| found.unreadable_error(FINDINGS_FILE, &error))?;
+        let (findings, examined) = file.into_findings(terms, part).map_err(|problem| found.damaged_error(FINDINGS_FILE, problem))?;
         Ok(Self { findings, examined, text })
     }
 }
 
 fn to_json(value: &impl Serialize) -> Result<String, CampaignError> {
-    Ok(serde_json::to_string(value).map_err(CampaignError::encoding)? + "\n")
+    Ok(serde_json::to_string(value).map_err(CampaignError::from_encoding_error)? + "\n")
 }

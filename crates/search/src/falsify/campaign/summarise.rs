@@ -4,29 +4,29 @@ use std::ops::Range;
 
 use super::CampaignError;
 use super::coverage::Coverage;
-use super::failures::Kind;
-use super::findings::{Findings, Reached};
+use super::failures::FailureGroup;
+use super::findings::{CampaignFindings, MethodResults};
 use super::summary::{
-    AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, SUMMARY_VERSION, Summary,
+    AvoidabilitySummary, FailuresByMethod, CoverageSummary, FailureKindSummary, MethodSummary, SUMMARY_VERSION, CampaignSummary,
 };
-use super::resolved_config::Terms;
+use super::resolved_config::ResolvedConfig;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
-impl Summary {
+impl CampaignSummary {
     /// What was found, with the distinct failures as they were written down. Evaluations may be missing.
     pub(super) fn from_findings(
-        terms: &Terms,
-        findings: &Findings,
+        terms: &ResolvedConfig,
+        findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
         missing: &[Range<u64>],
     ) -> Result<Self, CampaignError> {
-        let Findings { reached, failures } = findings;
+        let CampaignFindings { method_results: reached, failures } = findings;
         let record = &terms.record;
         let mut all = Coverage::new(terms.space.dimension());
-        reached.iter().for_each(|reached| all.join(&reached.coverage));
+        reached.iter().for_each(|reached| all.merge(&reached.coverage));
         let main = reached.first();
         Ok(Self {
             version: SUMMARY_VERSION,
@@ -38,54 +38,54 @@ impl Summary {
             estimator: record.estimator,
             space: terms.space.name().to_owned(),
             specification: terms.specification.to_string(),
-            contrast: record.contrast.clone(),
+            failure_criterion: record.failure_criterion.clone(),
             method: record.method.name().to_owned(),
-            aim: record.aim.name().to_owned(),
+            objective: record.objective.name().to_owned(),
             budget: record.budget,
             seed: record.seed,
-            divided: record.divided.clone(),
+            sharding: record.sharding.clone(),
             evaluations: main.map_or(0, |reached| reached.evaluations),
             falsified: reached.iter().any(|reached| reached.failures > 0),
             first_falsification: main.and_then(|reached| reached.first),
-            best_robustness: main.and_then(|reached| finite(reached.best)),
+            best_robustness: main.and_then(|reached| finite_or_none(reached.best)),
             coverage: CoverageSummary {
-                method: main.map(|reached| reached.coverage.covered()),
-                with_reference_searches: all.covered(),
+                method: main.map(|reached| reached.coverage.percentages()),
+                with_reference_searches: all.percentages(),
             },
-            methods: reached.iter().map(|reached| MethodSummary::of(reached, record.contrast.as_ref())).collect(),
+            methods: reached.iter().map(|reached| MethodSummary::from_results(reached, record.failure_criterion.as_ref())).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
-                .map(|kind| FailureKindSummary::of(kind, terms, &counterexamples))
+                .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
-            regions: findings.regions(terms, missing),
-            avoidability: AvoidabilitySummary::of(&counterexamples),
+            regions: findings.find_regions(terms, missing),
+            avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             counterexamples,
         })
     }
 }
 
 impl MethodSummary {
-    fn from_results(reached: &Reached, contrast: Option<&FailureCriterionRecord>) -> Self {
+    fn from_results(reached: &MethodResults, contrast: Option<&FailureCriterionRecord>) -> Self {
         let is_metamorphic = matches!(contrast, Some(FailureCriterionRecord::Metamorphic(_)));
         Self {
             method: reached.method.name().to_owned(),
             evaluations: reached.evaluations,
             first_falsification: reached.first,
             failures: reached.failures,
-            best_robustness: finite(reached.best),
+            best_robustness: finite_or_none(reached.best),
             without_partner: Some(reached.unbounded).filter(|count| is_metamorphic && *count > 0),
             other_unanswered: reached
                 .other_unanswered
                 .as_ref()
-                .map(|silent| Unanswered { runs: silent.runs, because: silent.because.clone() }),
+                .map(|silent| FailedControllerRuns { runs: silent.runs, because: silent.because.clone() }),
         }
     }
 }
 
 impl FailureKindSummary {
-    fn from_failures(kind: &Kind, terms: &Terms, examined: &[Counterexample]) -> Self {
+    fn from_failures(kind: &FailureGroup, terms: &ResolvedConfig, examined: &[Counterexample]) -> Self {
         let by_method = |(method, count, first): &(crate::falsify::Method, u64, u64)| FailuresByMethod {
             method: method.name().to_owned(),
             count: *count,

@@ -4,14 +4,14 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Aim, CampaignError, Covered, Sharding, FrontPoint, Region};
+use super::{SearchObjective, CampaignError, CoveragePercentages, Sharding, FrontPoint, Region};
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
-use crumple_core::quoted::Terminal;
-use crumple_store::shard::as_array;
+use crumple_core::quoting::TerminalText;
+use crumple_store::shard::format_ranges;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
 /// The version of `summary.json`.
 pub(super) const SUMMARY_VERSION: u32 = 1;
@@ -48,7 +48,7 @@ pub struct CampaignSummary {
     /// The method asked for.
     pub method: String,
     /// What the search was after once it knew failures.
-    #[serde(default = "default_aim")]
+    #[serde(default = "default_objective")]
     #[serde(rename = "aim")]
     pub objective: String,
     /// Evaluations of each method.
@@ -87,7 +87,7 @@ pub struct CampaignSummary {
 }
 
 fn default_objective() -> String {
-    Aim::default().name().to_owned()
+    SearchObjective::default().name().to_owned()
 }
 
 impl Sharding {
@@ -96,7 +96,7 @@ impl Sharding {
             writeln!(out, "  put together of {} searches by {method}, each by a seed of its own", self.searches)?;
         }
         if let (Some(of), false) = (self.of_shards, self.missing_shards.is_empty()) {
-            writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", as_array(&self.missing_shards))?;
+            writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", format_ranges(&self.missing_shards))?;
         } else {
             for [first, last] in self.missing_evaluations.iter().take(MAX_SHOWN_RANGES) {
                 writeln!(out, "  INCOMPLETE: evaluations {first} to {last} of each method are missing")?;
@@ -155,7 +155,7 @@ pub struct MethodSummary {
     /// Evaluations beside which the other controller, or the same one in the other scenario, gave no answer: whatever came of them, they do
     /// not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub other_unanswered: Option<Unanswered>,
+    pub other_unanswered: Option<FailedControllerRuns>,
 }
 
 /// Failures of one kind.
@@ -196,10 +196,10 @@ pub struct FailuresByMethod {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CoverageSummary {
     /// By the method asked for.
-    pub method: Option<Covered>,
+    pub method: Option<CoveragePercentages>,
     /// By all methods together.
     #[serde(alias = "with_yardsticks")]
-    pub with_reference_searches: Covered,
+    pub with_reference_searches: CoveragePercentages,
 }
 
 /// Regions that are printed, beside the safest one.
@@ -213,7 +213,7 @@ impl CampaignSummary {
     /// # Errors
     /// [`CampaignError::Encoding`] in principle, if the writer fails.
     pub fn to_json(&self) -> Result<String, CampaignError> {
-        Ok(serde_json::to_string_pretty(self).map_err(CampaignError::encoding)? + "\n")
+        Ok(serde_json::to_string_pretty(self).map_err(CampaignError::from_encoding_error)? + "\n")
     }
 
     /// Reads `summary.json`.
@@ -221,7 +221,7 @@ impl CampaignSummary {
     /// # Errors
     /// [`CampaignError::Encoding`] for anything else.
     pub fn from_json(text: &str) -> Result<Self, CampaignError> {
-        serde_json::from_str(text).map_err(CampaignError::encoding)
+        serde_json::from_str(text).map_err(CampaignError::from_encoding_error)
     }
 
     /// The summary for a reader.
@@ -253,7 +253,7 @@ impl CampaignSummary {
                 "  {:>10.3} {impact:>12} {:>13.2} {:>9.3}  {:<22} {}",
                 point.robustness,
                 point.ln_likelihood,
-                point.departure,
+                point.distance_from_nominal,
                 format!("{} {}", point.method, point.evaluation),
                 point.kind
             )?;
@@ -266,13 +266,13 @@ impl CampaignSummary {
 
     /// Of how many evaluations nothing is known, since the one they are set against gave no answer.
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
-        let who = match &self.contrast {
-            Some(FailureCriterionRecord::Against { controller, .. }) => format!("`{}`", Terminal(controller)),
+        let who = match &self.failure_criterion {
+            Some(FailureCriterionRecord::Differential { controller, .. }) => format!("`{}`", TerminalText(controller)),
             _ => "the controller in the other scenario".to_owned(),
         };
         for method in &self.methods {
             if let Some(silent) = &method.other_unanswered {
-                let words = silent.words(method.evaluations);
+                let words = silent.describe(method.evaluations);
                 writeln!(out, "  NOT JUDGED: {who} {words} ({}); these do not count as failures", method.method)?;
             }
         }
@@ -281,7 +281,7 @@ impl CampaignSummary {
 
     /// How many evaluations there is no other scenario to set against.
     fn write_without_partner(&self, out: &mut String) -> std::fmt::Result {
-        let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.contrast else { return Ok(()) };
+        let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.failure_criterion else { return Ok(()) };
         for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
             if let Some(alone @ 1..) = without_partner {
                 let partner = relation.describe_partner();
@@ -298,17 +298,17 @@ impl CampaignSummary {
         writeln!(
             out,
             "{} in `{}`: {}, estimator {}, seed {}",
-            Terminal(&self.controller),
-            Terminal(&self.space),
-            Terminal(&self.specification),
+            TerminalText(&self.controller),
+            TerminalText(&self.space),
+            TerminalText(&self.specification),
             self.estimator.name(),
             self.seed
         )?;
-        if self.aim != Aim::default().name() {
-            writeln!(out, "  the search was after the {} failures", self.aim)?;
+        if self.objective != SearchObjective::default().name() {
+            writeln!(out, "  the search was after the {} failures", self.objective)?;
         }
-        if let Some(contrast) = &self.contrast {
-            writeln!(out, "  failures count {}", Terminal(&contrast.describe()))?;
+        if let Some(contrast) = &self.failure_criterion {
+            writeln!(out, "  failures count {}", TerminalText(&contrast.describe()))?;
         }
         if self.nondeterministic {
             writeln!(
@@ -316,7 +316,7 @@ impl CampaignSummary {
                 "  the controller says that it is not deterministic: the same campaign may find something else"
             )?;
         }
-        if let Some(divided) = &self.divided {
+        if let Some(divided) = &self.sharding {
             divided.write(out, &self.method)?;
         }
         if self.falsified {
@@ -406,7 +406,7 @@ impl CampaignSummary {
                 )?;
             }
         }
-        let covered = |covered: &Covered| format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent);
+        let covered = |covered: &CoveragePercentages| format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent);
         let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
         writeln!(
             out,

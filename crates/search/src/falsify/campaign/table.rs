@@ -14,13 +14,13 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 
-use super::resolved_config::Terms;
-use super::{CampaignError, Evaluated};
+use super::resolved_config::ResolvedConfig;
+use super::{CampaignError, EvaluatedPoint};
 use crate::falsify::Method;
-use crumple_store::work::{Changes, Work};
-use crumple_world::measure::{Braking, FirstContact, RunVerdict};
+use crumple_store::run_folder::{FolderTransaction, RunFolder};
+use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
-use crumple_world::scenario::space::{KEY_COLUMNS, Parameter, RESULT_COLUMNS, Space};
+use crumple_world::scenario::space::{KEY_COLUMNS, SpaceParameter, RESULT_COLUMNS, ScenarioSpace};
 
 /// Rows of a part.
 const ROWS_PER_PART: usize = 65_536;
@@ -33,41 +33,41 @@ const EXTENSION: &str = ".csv.gz";
 
 /// Writes rows to parts.
 pub(super) struct EvaluationTable<'a> {
-    space: &'a Space,
-    run_folder: &'a Work,
+    space: &'a ScenarioSpace,
+    run_folder: &'a RunFolder,
     part_count: usize,
-    rows: Vec<(Method, Evaluated)>,
+    rows: Vec<(Method, EvaluatedPoint)>,
 }
 
 impl<'a> EvaluationTable<'a> {
-    pub(super) fn new(space: &'a Space, work: &'a Work) -> Self {
-        Self { space, work, parts: 0, rows: Vec::new() }
+    pub(super) fn new(space: &'a ScenarioSpace, work: &'a RunFolder) -> Self {
+        Self { space, run_folder: work, part_count: 0, rows: Vec::new() }
     }
 
-    pub(super) fn add(&mut self, method: &Method, evaluated: &Evaluated) -> Result<(), CampaignError> {
+    pub(super) fn add(&mut self, method: &Method, evaluated: &EvaluatedPoint) -> Result<(), CampaignError> {
         self.rows.push((method.clone(), evaluated.clone()));
         if self.rows.len() < ROWS_PER_PART {
             return Ok(());
         }
         // A resumed campaign writes the same part again.
-        let (name, part) = self.part()?;
-        self.parts += 1;
+        let (name, part) = self.encode_part()?;
+        self.part_count += 1;
         self.rows.clear();
-        Ok(self.work.write(&name, part)?)
+        Ok(self.run_folder.write(&name, part)?)
     }
 
     /// Adds the last part to the results.
-    pub(super) fn finish(self, results: &mut Changes<'_>) -> Result<(), CampaignError> {
+    pub(super) fn finish(self, results: &mut FolderTransaction<'_>) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
-            let (name, part) = self.part()?;
+            let (name, part) = self.encode_part()?;
             results.write(&name, part);
         }
         Ok(())
     }
 
     fn encode_part(&self) -> Result<(String, Vec<u8>), CampaignError> {
-        let name = format!("evaluations/part-{:05}{EXTENSION}", self.parts);
-        Ok((name, self.encode().map_err(CampaignError::encoding)?))
+        let name = format!("evaluations/part-{:05}{EXTENSION}", self.part_count);
+        Ok((name, self.encode_rows().map_err(CampaignError::from_encoding_error)?))
     }
 
     fn encode_rows(&self) -> Result<Vec<u8>, csv::Error> {
@@ -78,16 +78,16 @@ impl<'a> EvaluationTable<'a> {
             table.write_field(method.name())?;
             table.write_field(row.number.to_string())?;
             for (parameter, value) in parameters.iter().zip(&row.values) {
-                table.write_field(if parameter.is_named() { parameter.show(*value) } else { number(*value) })?;
+                table.write_field(if parameter.has_named_values() { parameter.format_value(*value) } else { format_number(*value) })?;
             }
-            table.write_field(number(row.ln_likelihood))?;
-            table.write_field(number(row.verdict.robustness))?;
+            table.write_field(format_number(row.ln_likelihood))?;
+            table.write_field(format_number(row.verdict.robustness))?;
             let contact = row.verdict.contact.as_ref().map(|contact| {
                 [
-                    number(contact.time_s),
+                    format_number(contact.time_s),
                     contact.front_vehicle.to_string(),
                     contact.rear_vehicle.to_string(),
-                    number(contact.impact_speed_mps),
+                    format_number(contact.impact_speed_mps),
                     contact.ego_braking.name().to_owned(),
                     contact.rear_class.name().to_owned(),
                 ]
@@ -99,7 +99,7 @@ impl<'a> EvaluationTable<'a> {
     }
 }
 
-fn columns(space: &Space) -> Vec<String> {
+fn columns(space: &ScenarioSpace) -> Vec<String> {
     let texts = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
     [texts(&KEY_COLUMNS), space.coordinate_names(), texts(&RESULT_COLUMNS)].concat()
 }
@@ -113,7 +113,7 @@ fn format_number(value: f64) -> String {
 ///
 /// # Errors
 /// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
-pub(super) fn decode_part(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<(Method, Evaluated)>, CampaignError> {
+pub(super) fn decode_part(name: &str, part: &[u8], terms: &ResolvedConfig) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
         return Err(damaged("an earlier crumple wrote this log, in a format that crumple no longer reads"));
@@ -130,7 +130,7 @@ pub(super) fn decode_part(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<
     let parameters: Vec<_> = terms.space.coordinate_parameters().collect();
     let (mut record, mut rows) = (StringRecord::new(), Vec::new());
     while table.read_record(&mut record).map_err(unreadable)? {
-        rows.push(row(&record, &parameters, terms).ok_or_else(|| {
+        rows.push(parse_row(&record, &parameters, terms).ok_or_else(|| {
             let line = record.position().map_or(0, csv::Position::line);
             damaged(&format!("line {line} is not an evaluation"))
         })?);
@@ -139,13 +139,13 @@ pub(super) fn decode_part(name: &str, part: &[u8], terms: &Terms) -> Result<Vec<
 }
 
 /// Reads a row; none if crumple did not write it.
-fn parse_row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) -> Option<(Method, Evaluated)> {
+fn parse_row(record: &StringRecord, parameters: &[&SpaceParameter], terms: &ResolvedConfig) -> Option<(Method, EvaluatedPoint)> {
     let mut fields = record.iter();
     let method = fields.next()?.parse().ok()?;
     let number = fields.next()?.parse().ok()?;
-    let coordinate = |parameter: &&Parameter| {
+    let coordinate = |parameter: &&SpaceParameter| {
         let field = fields.next()?;
-        if parameter.is_named() { named(parameter, field) } else { field.parse().ok() }
+        if parameter.has_named_values() { parse_named_value(parameter, field) } else { field.parse().ok() }
     };
     let values = parameters.iter().map(coordinate).collect::<Option<Vec<f64>>>()?;
     let ln_likelihood = fields.next()?.parse().ok()?;
@@ -157,15 +157,15 @@ fn parse_row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) ->
             front_vehicle: front.parse().ok()?,
             rear_vehicle: rear.parse().ok()?,
             impact_speed_mps: impact.parse().ok()?,
-            ego_braking: Braking::ALL.into_iter().find(|known| known.name() == braking)?,
+            ego_braking: BrakingLevel::ALL.into_iter().find(|known| known.name() == braking)?,
             rear_class: VehicleClass::ALL.iter().copied().find(|known| known.name() == class)?,
         }),
         _ => return None,
     };
     let point = terms.space.point(&values);
-    let evaluated = Evaluated {
+    let evaluated = EvaluatedPoint {
         number,
-        departure: terms.departure(&point),
+        distance_from_nominal: terms.distance_from_nominal(&point),
         point,
         values,
         ln_likelihood,
@@ -175,7 +175,7 @@ fn parse_row(record: &StringRecord, parameters: &[&Parameter], terms: &Terms) ->
 }
 
 /// Returns the number of a value that has a name.
-fn parse_named_value(parameter: &Parameter, name: &str) -> Option<f64> {
+fn parse_named_value(parameter: &SpaceParameter, name: &str) -> Option<f64> {
     let [low, high] = parameter.range();
-    (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.show(number) == name)
+    (low as u64..=high as u64).map(|number| number as f64).find(|&number| parameter.format_value(number) == name)
 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ChasingCarsError, Inputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness, robustness,
+    ChasingCarsError, ChasingCarsInputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness, robustness,
 };
 use crate::falsify::{UnitCube, Method};
 use crumple_world::measure::stl::Formula;
@@ -38,7 +38,7 @@ pub struct BenchmarkRow {
     /// Mean evaluations to the first counterexample, over the successful runs; none if there is none.
     pub mean_evaluations: Option<f64>,
     /// The runs, by seed.
-    pub runs: Vec<Run>,
+    pub runs: Vec<BenchmarkRun>,
 }
 
 /// One run.
@@ -73,7 +73,7 @@ pub struct FalsifyingInputs {
     pub finer_robustness: f64,
 }
 
-impl Run {
+impl BenchmarkRun {
     /// Whether a counterexample was found that the replay confirmed.
     #[must_use]
     pub fn is_success(&self) -> bool {
@@ -91,9 +91,9 @@ impl Run {
 pub fn run_benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usize) -> Result<Benchmark, ChasingCarsError> {
     let row = |(name, text): (&str, &str)| -> Result<BenchmarkRow, ChasingCarsError> {
         let formula: Formula = text.parse()?;
-        let runs: Vec<Run> = (0..seeds as u64)
+        let runs: Vec<BenchmarkRun> = (0..seeds as u64)
             .into_par_iter()
-            .map(|place| run(method, &formula, budget, first_seed.wrapping_add(place)))
+            .map(|place| run_search(method, &formula, budget, first_seed.wrapping_add(place)))
             .collect::<Result<_, _>>()?;
         let successes: Vec<f64> =
             runs.iter().filter(|run| run.is_success()).map(|run| run.evaluations as f64).collect();
@@ -115,15 +115,15 @@ pub fn run_benchmark(method: &Method, budget: usize, first_seed: u64, seeds: usi
 ///
 /// What is violated at one step need not be at a finer one, and is then no counterexample: the search is told the larger of both values
 /// and goes on.
-fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<Run, ChasingCarsError> {
+fn run_search(method: &Method, formula: &Formula, budget: usize, seed: u64) -> Result<BenchmarkRun, ChasingCarsError> {
     let mut run =
-        Run { seed, evaluations: 0, finer_simulations: 0, best_robustness: f64::INFINITY, counterexample: None };
+        BenchmarkRun { seed, evaluations: 0, finer_simulations: 0, best_robustness: f64::INFINITY, counterexample: None };
     let Ok(cube) = UnitCube::new([PIECES, PIECES]) else { return Ok(run) };
     let mut search = method.start(&cube, seed);
     while run.evaluations < budget {
         let mut told = Vec::new();
         for point in search.ask().into_iter().take(budget - run.evaluations) {
-            let inputs = Inputs::from_unit(&point);
+            let inputs = ChasingCarsInputs::from_unit(&point);
             let robustness = robustness(formula, &inputs)?;
             run.evaluations += 1;
             let mut value = robustness;

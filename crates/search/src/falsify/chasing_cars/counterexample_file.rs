@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Benchmark, ChasingCarsError, Inputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness,
+    Benchmark, ChasingCarsError, ChasingCarsInputs, MARGIN_M, PIECES, SPECIFICATIONS, finer_robustness, replayed_robustness,
 };
 use crumple_world::scenario::file::{self, FileError};
 
@@ -100,7 +100,7 @@ impl CounterexampleFile {
     /// # Errors
     /// [`ChasingCarsError`] if the formula does not fit the model.
     pub fn replayed_robustness(&self) -> Result<f64, ChasingCarsError> {
-        let inputs = Inputs { throttle: self.throttle, brake: self.brake };
+        let inputs = ChasingCarsInputs { throttle: self.throttle, brake: self.brake };
         replayed_robustness(&self.formula.parse()?, &inputs)
     }
 
@@ -109,7 +109,7 @@ impl CounterexampleFile {
     /// # Errors
     /// [`ChasingCarsError`] if the formula does not fit the model.
     pub fn is_confirmed(&self) -> Result<bool, ChasingCarsError> {
-        let inputs = Inputs { throttle: self.throttle, brake: self.brake };
+        let inputs = ChasingCarsInputs { throttle: self.throttle, brake: self.brake };
         let finer_robustness = finer_robustness(&self.formula.parse()?, &inputs)?;
         Ok(self.replayed_robustness()?.max(finer_robustness) < -MARGIN_M)
     }

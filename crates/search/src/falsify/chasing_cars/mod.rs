@@ -17,9 +17,9 @@ mod benchmark;
 mod counterexample_file;
 mod replay;
 
-use crumple_world::measure::stl::{Formula, MonitorError, ParseError, Signals, SignalsError};
+use crumple_world::measure::stl::{Formula, MonitorError, FormulaParseError, SampledSignals, SignalsError};
 
-pub use benchmark::{Benchmark, Counterexample, Row, Run, benchmark};
+pub use benchmark::{Benchmark, FalsifyingInputs, BenchmarkRow, BenchmarkRun, run_benchmark};
 pub use counterexample_file::{COUNTEREXAMPLE_VERSION, CounterexampleFile};
 pub(crate) use replay::{finer_robustness, replayed_robustness};
 
@@ -62,7 +62,7 @@ pub struct ChasingCarsInputs {
     pub brake: [f64; PIECES],
 }
 
-impl Inputs {
+impl ChasingCarsInputs {
     /// Inputs from a point of the unit cube: throttle first, then brake; what is missing is 0.
     #[must_use]
     pub fn from_unit(point: &[f64]) -> Self {
@@ -125,7 +125,7 @@ impl LeaderStep {
 
 /// Runs the model.
 #[must_use]
-pub fn simulate(inputs: &Inputs) -> Motion {
+pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
     let (decay, lost) = ((-STEP_S).exp(), -(-STEP_S).exp_m1());
     let mut y = [0.0, 10.0, 20.0, 30.0, 40.0];
     let mut v = [0.0_f64; 5];
@@ -155,7 +155,7 @@ pub fn simulate(inputs: &Inputs) -> Motion {
             record(&y);
         }
     }
-    Motion { position }
+    CarTrajectories { position }
 }
 
 /// Why a specification cannot be evaluated on a motion.
@@ -164,7 +164,7 @@ pub fn simulate(inputs: &Inputs) -> Motion {
 pub enum ChasingCarsError {
     /// The text of a formula.
     #[error(transparent)]
-    Parse(#[from] ParseError),
+    Parse(#[from] FormulaParseError),
     /// The signals.
     #[error(transparent)]
     Signals(#[from] SignalsError),
@@ -173,13 +173,13 @@ pub enum ChasingCarsError {
     Monitor(#[from] MonitorError),
 }
 
-impl Motion {
+impl CarTrajectories {
     /// The motion as signals y1 to y5.
     ///
     /// # Errors
     /// [`SignalsError`] if a position is not a number.
-    pub fn signals(&self) -> Result<Signals<'_>, SignalsError> {
-        let mut signals = Signals::new(STEP_S, self.position[0].len())?;
+    pub fn signals(&self) -> Result<SampledSignals<'_>, SignalsError> {
+        let mut signals = SampledSignals::new(STEP_S, self.position[0].len())?;
         for (name, track) in ["y1", "y2", "y3", "y4", "y5"].into_iter().zip(&self.position) {
             signals.insert(name, track.as_slice())?;
         }
@@ -191,7 +191,7 @@ impl Motion {
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
-pub fn robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
+pub fn robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ChasingCarsError> {
     Ok(formula.robustness(&simulate(inputs).signals()?)?)
 }
 

@@ -1,7 +1,7 @@
 //! A second opinion: the model written down once more, as plainly as it is stated, and the naive monitor.
 
-use super::{ChasingCarsError, FINER, Inputs, STEP_S};
-use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
+use super::{ChasingCarsError, FINER_STEP_DIVISOR, ChasingCarsInputs, STEP_S};
+use crumple_world::measure::stl::{Formula, SampledSignals, naive_robustness};
 
 /// Robustness by an implementation that shares neither the model nor the monitor with [`super::robustness`].
 ///
@@ -9,20 +9,20 @@ use crumple_world::measure::stl::{Formula, Signals, naive_robustness};
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
-pub(crate) fn replayed_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
-    Ok(naive_robustness(formula, &replayed(inputs, 1)?, 0)?)
+pub(crate) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ChasingCarsError> {
+    Ok(naive_robustness(formula, &replay(inputs, 1)?, 0)?)
 }
 
 /// Robustness by the independent model at a step that is [`FINER`] times as fine.
 ///
 /// # Errors
 /// [`ChasingCarsError`] if the formula does not fit the model.
-pub(crate) fn finer_robustness(formula: &Formula, inputs: &Inputs) -> Result<f64, ChasingCarsError> {
-    Ok(formula.robustness(&replayed(inputs, FINER)?)?)
+pub(crate) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ChasingCarsError> {
+    Ok(formula.robustness(&replay(inputs, FINER_STEP_DIVISOR)?)?)
 }
 
 /// The motion, at so many steps for each one of [`STEP_S`].
-fn replay(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCarsError> {
+fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ChasingCarsError> {
     let step_s = STEP_S / finer as f64;
     let mut cars: Vec<ReplayCar> = (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
     let mut tracks: Vec<Vec<f64>> = cars.iter().map(|car| vec![car.y]).collect();
@@ -31,9 +31,9 @@ fn replay(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCars
             let before = cars.clone();
             for (i, car) in cars.iter_mut().enumerate() {
                 if i == 0 {
-                    car.lead(inputs.throttle[piece], inputs.brake[piece], step_s);
+                    car.step_leader(inputs.throttle[piece], inputs.brake[piece], step_s);
                 } else {
-                    car.follow(before[i].y - before[i - 1].y, step_s);
+                    car.step_follower(before[i].y - before[i - 1].y, step_s);
                 }
             }
             for (track, car) in tracks.iter_mut().zip(&cars) {
@@ -41,7 +41,7 @@ fn replay(inputs: &Inputs, finer: usize) -> Result<Signals<'static>, ChasingCars
             }
         }
     }
-    let mut signals = Signals::new(step_s, tracks[0].len())?;
+    let mut signals = SampledSignals::new(step_s, tracks[0].len())?;
     for (i, track) in tracks.into_iter().enumerate() {
         signals.insert(format!("y{}", i + 1), track)?;
     }

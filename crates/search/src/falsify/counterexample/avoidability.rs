@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::worst_case::{AvoidOptions, AvoidanceVerdict, Effort, avoid};
+use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
 /// Whether any controller could have avoided a failure; see [`avoid`] for what each class asserts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(into = "Written", from = "Read")]
+#[serde(into = "AvoidabilityOutput", from = "AvoidabilityInput")]
 #[non_exhaustive]
 pub enum Avoidability {
     /// It was not asked: the specification is a formula, or the file is older than the question.
@@ -66,7 +66,7 @@ impl AvoidabilityAnalysis {
     /// Of a scenario that ends in contact.
     #[must_use]
     pub fn classify_contact(scenario: &Scenario) -> Self {
-        let options = AvoidOptions { effort: Effort::Decide, ..AvoidOptions::default() };
+        let options = AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() };
         let (avoidability, escape) = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
                 (Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m }, Some(escape.scenario))
@@ -83,7 +83,7 @@ impl Avoidability {
     /// What convex programming says about a verdict: asked of contacts alone, where contact is what must not happen.
     #[must_use]
     pub fn classify(specification: &Specification, verdict: &RunVerdict, scenario: &Scenario) -> Self {
-        AvoidabilityAnalysis::of(specification, verdict, scenario).avoidability
+        AvoidabilityAnalysis::classify(specification, verdict, scenario).avoidability
     }
 
     /// What convex programming says about a scenario that ends in contact.

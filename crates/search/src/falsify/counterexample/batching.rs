@@ -43,7 +43,7 @@ pub(super) fn run_batched<M: Sync, Q: Send, A: Send, R: Send>(
     work: impl Fn(&M, &mut dyn FnMut(Q) -> Option<A>) -> R + Sync,
     answer: impl Fn(&[Q]) -> Vec<A>,
 ) -> Vec<R> {
-    members.chunks(MOST_TOGETHER).flat_map(|members| together(members, &work, &answer)).collect()
+    members.chunks(MAX_BATCH_SIZE).flat_map(|members| run_one_batch(members, &work, &answer)).collect()
 }
 
 fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(

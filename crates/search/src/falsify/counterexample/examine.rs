@@ -4,12 +4,12 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::Classed;
-use super::expected::FINER;
-use super::record::Examined;
+use super::AvoidabilityAnalysis;
+use super::expected::FINER_STEP_DIVISOR;
+use super::record::ExaminedFailure;
 use super::shrink::shrink;
 use super::batching::run_batched;
-use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, Terms};
+use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig};
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
@@ -23,44 +23,44 @@ type EvaluateFn<'a> = dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, Sp
 /// Examines the failures of a campaign.
 pub(in crate::falsify) struct Examiner<'a> {
     campaign: &'a Campaign,
-    config: &'a Terms,
+    config: &'a ResolvedConfig,
 }
 
 impl<'a> Examiner<'a> {
-    pub(in crate::falsify) fn new(campaign: &'a Campaign, terms: &'a Terms) -> Self {
-        Self { campaign, terms }
+    pub(in crate::falsify) fn new(campaign: &'a Campaign, terms: &'a ResolvedConfig) -> Self {
+        Self { campaign, config: terms }
     }
 
     /// Looks at all candidates. None is left out unless it cannot be reproduced, which the engines' agreement rules out.
     pub(in crate::falsify) fn examine_all(
         &self,
         candidates: &[&FailureCandidate],
-    ) -> Result<Vec<Examined>, CampaignError> {
+    ) -> Result<Vec<ExaminedFailure>, CampaignError> {
         let examined = run_batched(
             candidates,
             |candidate, ask| self.examine(candidate, ask),
             |asked: &[(Scenario, u32)]| {
                 let asked: Vec<_> = asked.iter().map(|(scenario, parts)| (scenario, *parts)).collect();
-                self.campaign.judging().evaluate_all(&asked)
+                self.campaign.evaluator().evaluate_all(&asked)
             },
         );
         Ok(examined.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
     /// Classes them: could any driver have avoided it?
-    pub(in crate::falsify) fn classify_all(&self, examined: &mut [Examined]) {
-        let specification = &self.terms.specification;
-        examined.par_iter_mut().for_each(|one| one.classed = Classed::of(specification, &one.verdict, &one.scenario));
+    pub(in crate::falsify) fn classify_all(&self, examined: &mut [ExaminedFailure]) {
+        let specification = &self.config.specification;
+        examined.par_iter_mut().for_each(|one| one.analysis = AvoidabilityAnalysis::classify(specification, &one.verdict, &one.scenario));
     }
 
-    fn examine(&self, candidate: &FailureCandidate, ask: &mut EvaluateFn<'_>) -> Result<Option<Examined>, CampaignError> {
+    fn examine(&self, candidate: &FailureCandidate, ask: &mut EvaluateFn<'_>) -> Result<Option<ExaminedFailure>, CampaignError> {
         let original = self.tidy(&candidate.values)?;
         let original_verdict = self.judge(&original, 1, ask)?;
         let Some(kind) = self.kind(&original_verdict) else { return Ok(None) };
         // After a contact that is the impact speed.
         let most = MIN_SEVERITY_SHARE * original_verdict.robustness;
         let survives = |scenario: &Scenario, ask: &mut EvaluateFn<'_>| -> Result<bool, CampaignError> {
-            let finer = self.kind(&self.judge(scenario, FINER, ask)?);
+            let finer = self.kind(&self.judge(scenario, FINER_STEP_DIVISOR, ask)?);
             Ok(finer.is_some_and(|finer| finer.is_same_pair(&kind)))
         };
         let dt_fragile = !survives(&original, ask)?;
@@ -79,26 +79,26 @@ impl<'a> Examiner<'a> {
                     false
                 })
             };
-            values = shrink(&self.terms.space, &values, &mut holds);
+            values = shrink(&self.config.space, &values, &mut holds);
             if let Some(error) = failed {
                 return Err(error);
             }
         }
         // From the text, not from memory: the file alone must fail.
-        let (scenario, original) = (reread(&self.tidy(&values)?)?, reread(&original)?);
+        let (scenario, original) = (write_and_read_back(&self.tidy(&values)?)?, write_and_read_back(&original)?);
         let (verdict, original_verdict) = (self.judge(&scenario, 1, ask)?, self.judge(&original, 1, ask)?);
-        let options = self.campaign.judging().options(&scenario, 1).with_after_contact(AfterContact::Continue);
+        let options = self.campaign.evaluator().run_options(&scenario, 1).with_after_contact(AfterContact::Continue);
         let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
-        let failed = aftermath.outcome.failed();
+        let failed = aftermath.outcome.failed_controller();
         // What does not come out again from the file alone is no counterexample: that of a controller from outside may not.
         let is_again = self.kind(&verdict) == Some(kind)
-            && verdict.failed.is_some() == (verdict.contact.is_none() && failed.is_some());
-        if !is_again && self.campaign.drivers().any(|driver| driver.kind.is_from_outside()) {
+            && verdict.failure.is_some() == (verdict.contact.is_none() && failed.is_some());
+        if !is_again && self.campaign.controllers().any(|driver| driver.kind.is_external()) {
             return Ok(None);
         }
         let vehicles = 0..scenario.vehicles().len();
         let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
-        Ok(Some(Examined {
+        Ok(Some(ExaminedFailure {
             method: candidate.method.clone(),
             number: candidate.number,
             kind,
@@ -109,23 +109,23 @@ impl<'a> Examiner<'a> {
             dt_fragile,
             max_delta_v_mps: deltas.reduce(f64::max),
             vehicles_involved: aftermath.vehicles_involved(),
-            because: failed.filter(|_| verdict.failed.is_some()).map(FailedController::because),
+            because: failed.filter(|_| verdict.failure.is_some()).map(FailedController::reason),
             scenario,
-            classed: Classed::default(),
+            analysis: AvoidabilityAnalysis::default(),
         }))
     }
 
     fn kind(&self, verdict: &RunVerdict) -> Option<FailureKind> {
-        FailureKind::of(verdict, &self.terms.specification)
+        FailureKind::from_verdict(verdict, &self.config.specification)
     }
 
     fn judge(&self, scenario: &Scenario, parts: u32, ask: &mut EvaluateFn<'_>) -> Result<RunVerdict, CampaignError> {
-        Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.judging().at(scenario, parts))?)
+        Ok(ask((scenario.clone(), parts)).unwrap_or_else(|| self.campaign.evaluator().evaluate(scenario, parts))?)
     }
 
     /// The scenario of values as it will stand in its file: no trailing digits of rounding, no piece twice in a row.
     fn tidy(&self, values: &[f64]) -> Result<Scenario, CampaignError> {
-        let scenario = self.terms.space.scenario(values)?;
+        let scenario = self.config.space.scenario(values)?;
         // What tidying would make invalid, at the very edge of a range, stays as it is.
         Ok(scenario.edited(tidy).unwrap_or(scenario))
     }
@@ -133,8 +133,8 @@ impl<'a> Examiner<'a> {
 
 /// The scenario as a file holds it.
 fn write_and_read_back(scenario: &Scenario) -> Result<Scenario, CampaignError> {
-    let text = file::to_toml(scenario).map_err(CampaignError::encoding)?;
-    file::from_toml(&text, Path::new("counterexample")).map_err(CampaignError::encoding)
+    let text = file::to_toml(scenario).map_err(CampaignError::from_encoding_error)?;
+    file::from_toml(&text, Path::new("counterexample")).map_err(CampaignError::from_encoding_error)
 }
 
 fn tidy(spec: &mut ScenarioSpec) {
@@ -143,10 +143,10 @@ fn tidy(spec: &mut ScenarioSpec) {
         *number = (*number * 1e9).round() / 1e9 + 0.0;
     }
     for vehicle in &mut spec.vehicles {
-        rounded(&mut vehicle.position_m);
-        vehicle.mass_kg.iter_mut().chain(&mut vehicle.max_brake_mps2).for_each(rounded);
+        round(&mut vehicle.position_m);
+        vehicle.mass_kg.iter_mut().chain(&mut vehicle.max_brake_mps2).for_each(round);
         if let Driver::Profile(LeadProfile::Pieces(pieces)) = &mut vehicle.driver {
-            pieces.from_s.iter_mut().chain(&mut pieces.accel_mps2).for_each(rounded);
+            pieces.from_s.iter_mut().chain(&mut pieces.accel_mps2).for_each(round);
             let mut before = None;
             let keep: Vec<bool> = pieces.accel_mps2.iter().map(|&accel| before.replace(accel) != Some(accel)).collect();
             let mut kept = keep.iter();

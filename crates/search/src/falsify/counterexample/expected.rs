@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Avoidability, AvoidabilityClass};
-use crate::falsify::evaluator::Judging;
+use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord};
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
@@ -151,22 +151,22 @@ impl ExpectedVerdict {
     pub fn replay(&self, folder: &Path) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario))?;
         let contender = self.find_controller(folder)?;
-        let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
+        let contrast = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
         if let (
-            Some(FailureCriterion::Against(other)),
-            Some(FailureCriterionRecord::Against { policy_sha256, controller_sha256, .. }),
-        ) = (&contrast, &self.contrast)
+            Some(FailureCriterion::Differential(other)),
+            Some(FailureCriterionRecord::Differential { policy_sha256, controller_sha256, .. }),
+        ) = (&contrast, &self.failure_criterion)
         {
             self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
         }
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let judging = Judging {
+        let judging = Evaluator {
             specification: &specification,
             controller: &contender,
             estimator: self.estimator,
-            contrast: contrast.as_ref(),
+            failure_criterion: contrast.as_ref(),
         };
-        let (nominal, finer) = (judging.at(&scenario, 1)?, judging.at(&scenario, FINER)?);
+        let (nominal, finer) = (judging.evaluate(&scenario, 1)?, judging.evaluate(&scenario, FINER_STEP_DIVISOR)?);
         let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
         let vehicles = |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
         let recorded = self.front_vehicle.zip(self.rear_vehicle);
@@ -228,12 +228,12 @@ impl ExpectedVerdict {
         let policy_sha256 = found.policy().map(|policy| policy.digest());
         let controller_sha256 = found.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
-        let contrast = self.contrast.as_ref().map(|record| record.contrast(folder)).transpose()?;
-        let contrast = contrast.as_ref().map(FailureCriterion::record);
-        let mut renewed = Self { policy_sha256, controller_sha256, contrast, dt_fragile: false, ..self.clone() };
+        let contrast = self.failure_criterion.as_ref().map(|record| record.resolve(folder)).transpose()?;
+        let contrast = contrast.as_ref().map(FailureCriterion::to_record);
+        let mut renewed = Self { policy_sha256, controller_sha256, failure_criterion: contrast, dt_fragile: false, ..self.clone() };
         let verdict = renewed.replay(folder)?.nominal;
         let violated = verdict.robustness < 0.0;
-        let class = Avoidability::of(&specification, &verdict, &scenario);
+        let class = Avoidability::classify(&specification, &verdict, &scenario);
         renewed = Self {
             violated,
             robustness: verdict.robustness,

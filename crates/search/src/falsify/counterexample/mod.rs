@@ -27,11 +27,11 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-pub use avoidability::{Avoidability, AvoidabilityClass, Classed};
+pub use avoidability::{Avoidability, AvoidabilityClass, AvoidabilityAnalysis};
 pub(in crate::falsify) use examine::Examiner;
-pub use expected::{Expected, ExpectedFile, ReplayError, ReplayResult};
+pub use expected::{ExpectedVerdict, ExpectedFile, ReplayError, ReplayResult};
 pub use record::SAME_FAILURE_DISTANCE;
-pub(in crate::falsify) use record::{Examined, ExaminedFailureRecord, Recorder};
+pub(in crate::falsify) use record::{ExaminedFailure, ExaminedFailureRecord, Recorder};
 pub use records::{RecordedVerdicts, VerdictRecordReader};
 
 /// A distinct failure.

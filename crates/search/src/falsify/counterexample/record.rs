@@ -4,12 +4,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::expected::{EXPECTED_VERSION, Expected, ExpectedFile};
+use super::expected::{EXPECTED_VERSION, ExpectedVerdict, ExpectedFile};
 use super::severity::Severity;
-use super::{Avoidability, Changed, Classed, Counterexample};
-use crate::falsify::campaign::{CampaignError, FailureKind, Terms};
+use super::{Avoidability, ChangedParameter, AvoidabilityAnalysis, Counterexample};
+use crate::falsify::campaign::{CampaignError, FailureKind, ResolvedConfig};
 use crate::falsify::{FailureCriterionRecord, Method};
-use crumple_store::work::Changes;
+use crumple_store::run_folder::FolderTransaction;
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, file};
 
@@ -37,7 +37,7 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) vehicles_involved: usize,
     /// Of a controller that gave no answer: when and why.
     pub(super) because: Option<String>,
-    pub(super) analysis: Classed,
+    pub(super) analysis: AvoidabilityAnalysis,
 }
 
 /// The same as a file holds it.
@@ -65,7 +65,7 @@ pub(in crate::falsify) struct ExaminedFailureRecord {
 
 impl ExaminedFailureRecord {
     pub(in crate::falsify) fn from_examined(one: &ExaminedFailure) -> Result<Self, CampaignError> {
-        let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::encoding);
+        let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::from_encoding_error);
         Ok(Self {
             method: one.method.clone(),
             number: one.number,
@@ -78,8 +78,8 @@ impl ExaminedFailureRecord {
             max_delta_v_mps: one.max_delta_v_mps,
             vehicles_involved: one.vehicles_involved,
             because: one.because.clone(),
-            avoidability: one.classed.avoidability.clone(),
-            escape: one.classed.escape.as_ref().map(text).transpose()?,
+            avoidability: one.analysis.avoidability.clone(),
+            escape: one.analysis.escape.as_ref().map(text).transpose()?,
         })
     }
 
@@ -89,11 +89,11 @@ impl ExaminedFailureRecord {
     }
 
     /// What it was, unless it cannot be that.
-    pub(in crate::falsify) fn into_examined(self, terms: &Terms) -> Result<ExaminedFailure, String> {
+    pub(in crate::falsify) fn into_examined(self, terms: &ResolvedConfig) -> Result<ExaminedFailure, String> {
         let place = format!("the failure at evaluation {} of {}", self.number, self.method);
         let scenario =
             |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| format!("{place}: {error}"));
-        let kind = |verdict: &RunVerdict| FailureKind::of(verdict, &terms.specification);
+        let kind = |verdict: &RunVerdict| FailureKind::from_verdict(verdict, &terms.specification);
         match kind(&self.original_verdict) {
             Some(found) if terms.space.contains(&self.values) => Ok(ExaminedFailure {
                 method: self.method,
@@ -108,7 +108,7 @@ impl ExaminedFailureRecord {
                 max_delta_v_mps: self.max_delta_v_mps,
                 vehicles_involved: self.vehicles_involved,
                 because: self.because,
-                classed: Classed {
+                analysis: AvoidabilityAnalysis {
                     avoidability: self.avoidability,
                     escape: self.escape.as_deref().map(scenario).transpose()?,
                 },
@@ -120,7 +120,7 @@ impl ExaminedFailureRecord {
 
 /// Tells failures of a campaign apart and writes them down.
 pub(in crate::falsify) struct Recorder<'a> {
-    pub(in crate::falsify) config: &'a Terms,
+    pub(in crate::falsify) config: &'a ResolvedConfig,
 }
 
 impl Recorder<'_> {
@@ -129,7 +129,7 @@ impl Recorder<'_> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<ExaminedFailure> = Vec::new();
         for one in examined {
-            if !distinct.iter().any(|known| self.is_same(known, &one)) {
+            if !distinct.iter().any(|known| self.is_same_failure(known, &one)) {
                 distinct.push(one);
             }
         }
@@ -140,9 +140,9 @@ impl Recorder<'_> {
     pub(in crate::falsify) fn record_all(
         &self,
         distinct: &[ExaminedFailure],
-        results: &mut Changes<'_>,
+        results: &mut FolderTransaction<'_>,
     ) -> Result<Vec<Counterexample>, CampaignError> {
-        let (found, files) = self.told(distinct)?;
+        let (found, files) = self.counterexamples_and_files(distinct)?;
         for (name, text) in files {
             results.write(&name, text);
         }
@@ -151,7 +151,7 @@ impl Recorder<'_> {
 
     /// What is said of distinct failures.
     pub(in crate::falsify) fn describe_all(&self, distinct: &[ExaminedFailure]) -> Result<Vec<Counterexample>, CampaignError> {
-        Ok(self.told(distinct)?.0)
+        Ok(self.counterexamples_and_files(distinct)?.0)
     }
 
     /// What is said of them, and their files: names and texts.
@@ -161,16 +161,16 @@ impl Recorder<'_> {
         for (place, one) in (1..).zip(distinct) {
             found.push(self.record(place, one, &mut files, &mut index)?);
         }
-        rank(&mut found);
+        rank_by_likelihood(&mut found);
         if !found.is_empty() {
-            let text = toml::to_string(&index).map_err(CampaignError::encoding)?;
+            let text = toml::to_string(&index).map_err(CampaignError::from_encoding_error)?;
             files.insert(0, (format!("counterexamples/{}", file::EXPECTED_FILE_NAME), text));
         }
         Ok((found, files))
     }
 
     fn severity(&self, one: &ExaminedFailure) -> Severity {
-        let goes_by_violation = self.terms.specification != Specification::NoContact || one.verdict.failed.is_some();
+        let goes_by_violation = self.config.specification != Specification::NoContact || one.verdict.failure.is_some();
         Severity {
             violation: goes_by_violation.then_some(-one.verdict.robustness),
             impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
@@ -180,7 +180,7 @@ impl Recorder<'_> {
     }
 
     fn is_same_failure(&self, one: &ExaminedFailure, other: &ExaminedFailure) -> bool {
-        let Terms { space, cube, .. } = self.terms;
+        let ResolvedConfig { space, cube, .. } = self.config;
         let (a, b) = (space.point(&one.values), space.point(&other.values));
         one.kind == other.kind && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
     }
@@ -200,20 +200,20 @@ impl Recorder<'_> {
             FailureKind::Violation { .. } => "violation".to_owned(),
         };
         let (file, original) = (format!("{place:02}-{slug}.toml"), format!("originals/{place:02}-{slug}.toml"));
-        let terms = &self.terms.record;
+        let terms = &self.config.record;
         let policy = terms.policy_sha256.clone();
         let driver = match &policy {
             Some(hash) => format!("`{}` (SHA-256 {hash})", terms.controller),
             None => format!("`{}`", terms.controller),
         };
-        let formula = match &self.terms.specification {
+        let formula = match &self.config.specification {
             Specification::NoContact => String::new(),
             Specification::Formula(formula) => format!(" The formula is `{formula}`."),
-            Specification::Conduct(rule) => format!(" The rule is `{rule}`."),
+            Specification::DrivingRule(rule) => format!(" The rule is `{rule}`."),
         };
-        let beside = match &terms.contrast {
+        let beside = match &terms.failure_criterion {
             None => String::new(),
-            Some(FailureCriterionRecord::Against { controller, .. }) => format!(", and `{controller}` passes it"),
+            Some(FailureCriterionRecord::Differential { controller, .. }) => format!(", and `{controller}` passes it"),
             Some(FailureCriterionRecord::Metamorphic(relation)) => {
                 format!(", which it does not {}", relation.describe_partner())
             }
@@ -221,7 +221,7 @@ impl Recorder<'_> {
         let why = one.because.as_ref().map_or(String::new(), |because| format!(" {because}"));
         let found = format!(
             "Found in the space `{}` by {} at its evaluation {} (seed {}): with {driver} {kind}{why}{beside}.{formula}",
-            self.terms.space.name(),
+            self.config.space.name(),
             one.method,
             one.number,
             terms.seed
@@ -229,20 +229,20 @@ impl Recorder<'_> {
         let how =
             if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
         let class =
-            one.classed.avoidability.describe().map_or(String::new(), |words| format!(" {}.", sentence(&words)));
-        let name = format!("{}-{}-{place:02}", self.terms.space.name(), terms.seed);
+            one.analysis.avoidability.describe().map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
+        let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
         let mut write =
             |file: &str, (scenario, verdict): (&Scenario, &RunVerdict), name, about, class: &Avoidability| {
                 let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
-                let text = file::to_toml(&named).map_err(CampaignError::encoding)?;
+                let text = file::to_toml(&named).map_err(CampaignError::from_encoding_error)?;
                 files.push((format!("counterexamples/{file}"), text));
-                index.expected.push(Expected {
+                index.expected.push(ExpectedVerdict {
                     scenario: file.to_owned(),
                     controller: terms.controller.clone(),
                     policy_sha256: policy.clone(),
                     controller_sha256: terms.controller_sha256.clone(),
                     estimator: terms.estimator,
-                    specification: self.terms.specification.to_string(),
+                    specification: self.config.specification.to_string(),
                     violated: verdict.robustness < 0.0,
                     robustness: verdict.robustness,
                     contact_time_s: verdict.contact.map(|contact| contact.time_s),
@@ -252,15 +252,15 @@ impl Recorder<'_> {
                     avoidable: class.class(),
                     best_min_gap_m: class.best_min_gap_m(),
                     undecided_because: class.undecided_because().map(str::to_owned),
-                    contrast: terms.contrast.clone(),
+                    failure_criterion: terms.failure_criterion.clone(),
                 });
                 Ok::<(), CampaignError>(())
             };
         let (verdict, as_found) = (&one.verdict, &one.original_verdict);
-        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.classed.avoidability)?;
+        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.analysis.avoidability)?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
-        let partner_file = match &terms.contrast {
+        let partner_file = match &terms.failure_criterion {
             Some(FailureCriterionRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
                 let about = format!("{}: {}.", file, relation.describe_partner());
                 (format!("counterexamples/partners/{file}"), partner, about)
@@ -269,15 +269,15 @@ impl Recorder<'_> {
         };
         if let Some((path, partner, about)) = &partner_file {
             let named = partner.edited(|spec| (spec.name, spec.about) = (format!("{name}-partner"), about.clone()))?;
-            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::encoding)?));
+            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::from_encoding_error)?));
         }
-        let escape_file = one.classed.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
+        let escape_file = one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
             let about = format!("An escape from {file}: who knows the future avoids the contact like this.");
             let named = escape.edited(|spec| (spec.name, spec.about) = (format!("{name}-escape"), about))?;
-            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::encoding)?));
+            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::from_encoding_error)?));
         }
-        let point = self.terms.space.point(&one.values);
+        let point = self.config.space.point(&one.values);
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
             original_file: format!("counterexamples/{original}"),
@@ -293,29 +293,29 @@ impl Recorder<'_> {
             original_impact_speed_mps: as_found.contact.map(|contact| contact.impact_speed_mps),
             max_delta_v_mps: one.max_delta_v_mps,
             vehicles_involved: one.vehicles_involved,
-            ln_likelihood: self.terms.space.ln_likelihood(&point),
-            departure: self.terms.departure(&point),
+            ln_likelihood: self.config.space.ln_likelihood(&point),
+            distance_from_nominal: self.config.distance_from_nominal(&point),
             likelihood_rank: 0,
             dt_fragile: one.dt_fragile,
-            avoidability: one.classed.avoidability.clone(),
+            avoidability: one.analysis.avoidability.clone(),
             found_by: one.method.name().to_owned(),
             found_at: one.number,
-            changed: self.changed(&one.values),
+            changed: self.changed_parameters(&one.values),
         })
     }
 
     /// What is not nominal; a signal with one value throughout counts as one.
-    fn changed_parameters(&self, values: &[f64]) -> Vec<Changed> {
-        let names = self.terms.space.coordinate_names();
+    fn changed_parameters(&self, values: &[f64]) -> Vec<ChangedParameter> {
+        let names = self.config.space.coordinate_names();
         let mut changed = Vec::new();
-        for parameter in self.terms.space.parameters() {
+        for parameter in self.config.space.parameters() {
             let own = values.get(parameter.coordinates()).unwrap_or_default();
             if own == parameter.nominal() {
                 continue;
             }
             let mut say = |name: &str, value: f64| {
                 let unit = parameter.unit().to_owned();
-                changed.push(Changed { parameter: name.to_owned(), value: parameter.show(value), unit });
+                changed.push(ChangedParameter { parameter: name.to_owned(), value: parameter.format_value(value), unit });
             };
             match own {
                 [first, rest @ ..] if rest.iter().all(|value| value == first) => say(parameter.name(), *first),
@@ -332,7 +332,7 @@ impl Recorder<'_> {
 
 fn rank_by_likelihood(found: &mut [Counterexample]) {
     let mut order: Vec<usize> = (0..found.len()).collect();
-    let key = |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.departure));
+    let key = |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.distance_from_nominal));
     order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
     for (rank, index) in order.into_iter().enumerate() {
         if let Some(one) = found.get_mut(index) {

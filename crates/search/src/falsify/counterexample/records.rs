@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::{fs, iter};
 
-use super::{Expected, ExpectedFile};
+use super::{ExpectedVerdict, ExpectedFile};
 use crumple_world::scenario::file::{LEGACY_EXPECTED_FILE_NAME, EXPECTED_FILE_NAME, FileError};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
@@ -19,7 +19,7 @@ pub struct RecordedVerdicts<'a> {
     /// The folder of the record. Controllers that it names lie there.
     pub folder: PathBuf,
     /// The verdicts, at least one.
-    pub verdicts: Vec<&'a Expected>,
+    pub verdicts: Vec<&'a ExpectedVerdict>,
 }
 
 impl VerdictRecordReader {
@@ -32,7 +32,7 @@ impl VerdictRecordReader {
         let Ok(path) = fs::canonicalize(scenario) else { return Ok(None) };
         let folders: Vec<&Path> = path.ancestors().skip(1).take(2).collect();
         for folder in &folders {
-            self.read(folder)?;
+            self.read_folder(folder)?;
         }
         let records = &self.folders;
         Ok(folders.into_iter().find_map(|folder| {
@@ -45,7 +45,7 @@ impl VerdictRecordReader {
     fn read_folder(&mut self, folder: &Path) -> Result<(), FileError> {
         if !self.folders.contains_key(folder) {
             let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME].iter().any(|name| folder.join(name).is_file());
-            let read = if has_record { ExpectedFile::in_folder(folder)? } else { ExpectedFile::default() };
+            let read = if has_record { ExpectedFile::load_from_folder(folder)? } else { ExpectedFile::default() };
             self.folders.insert(folder.to_owned(), read);
         }
         Ok(())
@@ -55,10 +55,10 @@ impl VerdictRecordReader {
 impl<'a> RecordedVerdicts<'a> {
     /// Returns one verdict for each controller that the record names, told apart by name and policy.
     #[must_use]
-    pub fn by_controller(&self) -> Vec<&'a Expected> {
-        let mut first: Vec<&Expected> = Vec::new();
+    pub fn by_controller(&self) -> Vec<&'a ExpectedVerdict> {
+        let mut first: Vec<&ExpectedVerdict> = Vec::new();
         for verdict in &self.verdicts {
-            let is_known = |known: &&Expected| {
+            let is_known = |known: &&ExpectedVerdict| {
                 (&known.controller, &known.policy_sha256, &known.controller_sha256, known.estimator)
                     == (&verdict.controller, &verdict.policy_sha256, &verdict.controller_sha256, verdict.estimator)
             };
@@ -71,7 +71,7 @@ impl<'a> RecordedVerdicts<'a> {
 
     /// Returns the folders in which a controller of a verdict may lie: that of the record, and the current one where a hash tells whether
     /// the controller is the recorded one.
-    pub fn controller_folders(&self, verdict: &Expected) -> impl Iterator<Item = PathBuf> {
+    pub fn controller_folders(&self, verdict: &ExpectedVerdict) -> impl Iterator<Item = PathBuf> {
         let current = verdict.policy_sha256.as_ref().or(verdict.controller_sha256.as_ref()).map(|_| PathBuf::new());
         iter::once(self.folder.clone()).chain(current)
     }

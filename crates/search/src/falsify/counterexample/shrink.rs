@@ -1,6 +1,6 @@
 //! Smaller failures: nearer to nominal, with fewer pieces and rounder values.
 
-use crumple_world::scenario::space::{Parameter, Space};
+use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
 
 /// Rounds of all moves; the second one profits from the first.
 const MAX_ROUNDS: usize = 2;
@@ -15,9 +15,9 @@ const MAX_DECIMALS: i32 = 3;
 ///
 /// Moves are tried in a fixed order, the largest simplification first, and kept if `holds`: a whole parameter to nominal;
 /// neighbouring pieces to one; part of the way to nominal; fewer decimals. Nothing is random.
-pub(super) fn shrink(space: &Space, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
+pub(super) fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
     let mut current = values.to_vec();
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let before = current.clone();
         for parameter in space.parameters() {
             try_nominal(parameter, &mut current, holds);
@@ -26,10 +26,10 @@ pub(super) fn shrink(space: &Space, values: &[f64], holds: &mut dyn FnMut(&[f64]
             join_pieces(parameter, &mut current, holds);
         }
         for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
-            approach(parameter, &mut current, holds);
+            move_towards_nominal(parameter, &mut current, holds);
         }
         for parameter in space.parameters().iter().filter(|parameter| !parameter.is_choice()) {
-            round(parameter, &mut current, holds);
+            round_values(parameter, &mut current, holds);
         }
         if current == before {
             break;
@@ -47,7 +47,7 @@ fn attempt(current: &mut Vec<f64>, changed: Vec<f64>, holds: &mut dyn FnMut(&[f6
     taken
 }
 
-fn try_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn try_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let mut changed = current.clone();
     if let Some(own) = changed.get_mut(parameter.coordinates()) {
         own.copy_from_slice(parameter.nominal());
@@ -56,7 +56,7 @@ fn try_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn Fn
 }
 
 /// Pieces take the value of the piece before or after them, runs of equal ones together.
-fn join_pieces(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn join_pieces(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let range = parameter.coordinates();
     let mut border = range.start + 1;
     while border < range.end {
@@ -75,11 +75,11 @@ fn join_pieces(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn Fn
     }
 }
 
-fn move_towards_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
-    for run in runs(parameter, current) {
+fn move_towards_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+    for run in equal_runs(parameter, current) {
         let nominal = parameter.nominal().get(run.start - parameter.coordinates().start).copied().unwrap_or(0.0);
         let mut share = 0.5;
-        for _ in 0..STEPS {
+        for _ in 0..NOMINAL_STEPS {
             let Some(&value) = current.get(run.start) else { break };
             let mut changed = current.clone();
             changed.get_mut(run.clone()).unwrap_or_default().fill(value + share * (nominal - value));
@@ -91,9 +91,9 @@ fn move_towards_nominal(parameter: &Parameter, current: &mut Vec<f64>, holds: &m
 }
 
 /// The fewest decimals, from tens to thousandths, with which the failure survives; to the nearer side first.
-fn round_values(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
+fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let [low, high] = parameter.range();
-    for run in runs(parameter, current) {
+    for run in equal_runs(parameter, current) {
         let Some(&value) = current.get(run.start) else { continue };
         // What is nominal is as simple as can be.
         if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
@@ -120,7 +120,7 @@ fn round_values(parameter: &Parameter, current: &mut Vec<f64>, holds: &mut dyn F
 }
 
 /// The coordinates of a parameter, those of neighbouring pieces with one value together.
-fn equal_runs(parameter: &Parameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
+fn equal_runs(parameter: &SpaceParameter, current: &[f64]) -> Vec<std::ops::Range<usize>> {
     let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
     for index in parameter.coordinates() {
         match runs.last_mut() {

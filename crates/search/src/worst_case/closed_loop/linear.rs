@@ -5,7 +5,7 @@
 //! elsewhere in each round, so a profile of cells of a tenth of a second needs few of them.
 
 use super::plant::{CellBlock, Plant, Profile, SampledGaps, SimulatedProfile};
-use crumple_quadratic::{QuadraticProgram, Solved};
+use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 use crumple_world::random::Stream;
 use rand::RngExt;
 
@@ -34,26 +34,26 @@ pub(super) struct Ascent {
 
 impl Ascent {
     pub(super) fn new(at: SimulatedProfile) -> Self {
-        Self { at, region_mps2: REGION_MPS2[0] }
+        Self { current: at, trust_region_mps2: TRUST_REGION_MPS2[0] }
     }
 
     /// Whether the trust region has become too small to go on.
     pub(super) fn is_over(&self) -> bool {
-        self.region_mps2 < REGION_MPS2[2]
+        self.trust_region_mps2 < TRUST_REGION_MPS2[2]
     }
 
     /// Makes one step; returns whether it increases the margin.
     pub(super) fn step(&mut self, plant: &mut Plant<'_>, stream: &mut Stream) -> bool {
-        let gained = self.proposals(plant, stream).into_iter().max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
-        let [success, failure] = REGION_FACTORS;
-        match gained.filter(|best| best.margin_m > self.at.margin_m + WORTH_M) {
+        let gained = self.propose(plant, stream).into_iter().max_by(|a, b| a.margin_m.total_cmp(&b.margin_m));
+        let [success, failure] = TRUST_REGION_FACTORS;
+        match gained.filter(|best| best.margin_m > self.current.margin_m + MIN_GAIN_M) {
             Some(best) => {
-                self.at = best;
-                self.region_mps2 = (self.region_mps2 * success).min(REGION_MPS2[1]);
+                self.current = best;
+                self.trust_region_mps2 = (self.trust_region_mps2 * success).min(TRUST_REGION_MPS2[1]);
                 true
             }
             None => {
-                self.region_mps2 *= failure;
+                self.trust_region_mps2 *= failure;
                 false
             }
         }
@@ -61,31 +61,31 @@ impl Ascent {
 
     /// Simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
-        let Some(Some(here)) = plant.gaps(std::slice::from_ref(&self.at.profile)).pop() else { return Vec::new() };
+        let Some(Some(here)) = plant.simulate_gaps(std::slice::from_ref(&self.current.profile)).pop() else { return Vec::new() };
         let blocks = self.blocks(plant, &here, stream);
-        let nudge_mps2 = (0.5 * self.region_mps2).clamp(0.05, 1.0);
+        let nudge_mps2 = (0.5 * self.trust_region_mps2).clamp(0.05, 1.0);
         let by_mps2: Vec<f64> = blocks.iter().map(|block| self.signed_nudge_mps2(plant, block, nudge_mps2)).collect();
         let nudged: Vec<Profile> =
-            blocks.iter().zip(&by_mps2).map(|(block, &by)| plant.moved(&self.at.profile, block, by)).collect();
-        let nudged = plant.gaps(&nudged);
+            blocks.iter().zip(&by_mps2).map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by)).collect();
+        let nudged = plant.simulate_gaps(&nudged);
         let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else { return Vec::new() };
         let share = |share: f64| {
-            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| plant.moved(&profile, block, share * by);
-            blocks.iter().zip(&step).fold(self.at.profile.clone(), moved)
+            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| plant.with_block_changed(&profile, block, share * by);
+            blocks.iter().zip(&step).fold(self.current.profile.clone(), moved)
         };
-        let shares = SHARES.map(share);
-        plant.try_out(shares.into())
+        let shares = STEP_SHARES.map(share);
+        plant.simulate_profiles(shares.into())
     }
 
     /// Blocks of equal length until the last small gap, at a random phase, and few after it.
     fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
-        let near_m = self.at.margin_m.max(0.0) + NEAR_GAP_M;
+        let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
         let is_near = |sample: &usize| here.gaps_at_sample(*sample).any(|gap_m| gap_m < near_m);
         let last = (0..here.samples).rev().find(is_near).unwrap_or(0);
-        let until_s = last as f64 * plant.sample_interval_s() + AFTER_S;
-        let all = plant.cells();
+        let until_s = last as f64 * plant.sample_interval_s() + TAIL_S;
+        let all = plant.cell_count();
         let until = ((until_s / plant.cell_s()).ceil() as usize).clamp(1, all);
-        let [before, after] = BLOCK_COUNTS.map(|count| count.div_ceil(plant.egos()));
+        let [before, after] = BLOCK_COUNTS.map(|count| count.div_ceil(plant.ego_count()));
         let phase: f64 = stream.random();
         let length = until as f64 / before as f64;
         let early = (0..=before).map(|block| ((block as f64 - phase) * length).round().max(0.0) as usize);
@@ -99,7 +99,7 @@ impl Ascent {
                 _ => None,
             })
         };
-        (0..plant.egos()).flat_map(of_ego).collect()
+        (0..plant.ego_count()).flat_map(of_ego).collect()
     }
 
     /// A nudge that the limits of no cell undo, if there is one.
@@ -115,7 +115,7 @@ impl Ascent {
 
     /// Lowest and highest acceleration in a block, in m/s².
     fn range_mps2(&self, block: &CellBlock) -> [f64; 2] {
-        let cells = self.at.profile.get(block.ego).and_then(|cells| cells.get(block.cells.clone()));
+        let cells = self.current.profile.get(block.ego).and_then(|cells| cells.get(block.cells.clone()));
         let cells = cells.into_iter().flatten();
         cells.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], &held| [least.min(held), most.max(held)])
     }
@@ -129,16 +129,16 @@ impl Ascent {
         nudged: &[Option<SampledGaps>],
         by_mps2: &[f64],
     ) -> Option<Vec<f64>> {
-        let region = self.region_mps2;
+        let region = self.trust_region_mps2;
         let smallest = blocks.len();
         let mut program = QuadraticProgram::new(blocks.len() + 1);
-        program.cost(smallest, -1.0);
+        program.add_linear_cost(smallest, -1.0);
         for (index, block) in blocks.iter().enumerate() {
             let [low, high] = plant.limits_mps2(block.ego);
             let [least, most] = self.range_mps2(block);
-            program.at_most(&[(index, 1.0)], region.min(high - least));
-            program.at_most(&[(index, -1.0)], region.min(most - low));
-            program.square(&[(index, 1.0)], IDLE_WEIGHT);
+            program.add_inequality(&[(index, 1.0)], region.min(high - least));
+            program.add_inequality(&[(index, -1.0)], region.min(most - low));
+            program.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
         }
         let slope = |sample: usize, block: usize| {
             let gap_m = nudged.get(block)?.as_ref()?.gap_m.get(sample)?;
@@ -156,12 +156,12 @@ impl Ascent {
         let reach = |slopes: &[f64]| region * slopes.iter().map(|slope| slope.abs()).sum::<f64>();
         // A gap that stays above what another one cannot exceed decides nothing.
         let ceiling_m = rows.iter().map(|(gap_m, slopes)| gap_m + reach(slopes)).fold(f64::INFINITY, f64::min);
-        program.at_most(&[(smallest, 1.0)], ceiling_m);
+        program.add_inequality(&[(smallest, 1.0)], ceiling_m);
         for (gap_m, slopes) in rows.iter().filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m) {
             let falls = slopes.iter().enumerate().filter(|(_, slope)| **slope != 0.0).map(|(i, slope)| (i, -slope));
-            program.at_most(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
+            program.add_inequality(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
         }
-        let Solved::Optimal { at, .. } = program.solve() else { return None };
+        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else { return None };
         // Rounded, so that the last digits of the solver, which differ between machines, do not matter.
         let rounded = |change: &f64| (change.clamp(-region, region) * 1e4).round() / 1e4;
         let step: Vec<f64> = at.iter().take(blocks.len()).map(rounded).collect();

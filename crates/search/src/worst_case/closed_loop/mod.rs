@@ -11,7 +11,7 @@ mod shapes;
 
 use self::linear::Ascent;
 use self::plant::{Plant, Profile, SimulatedProfile};
-use self::shapes::Shape;
+use self::shapes::SpeedShape;
 use super::escape::{Escape, FoundBy};
 use crumple_world::random::{self, Purpose, Stream};
 use crumple_world::scenario::Scenario;
@@ -57,12 +57,12 @@ pub(super) fn largest_gap(
     let plant = Plant::new(scenario, cell)?;
     let bound_m = initial_gap_m(scenario).min(bound_m);
     let stream = random::stream(scenario.spec().seed, Purpose::Search, 0);
-    let mut search = GapSearch { plant, stream, enough_m: bound_m - NEAR_BOUND_M };
-    let best = search.best(program_mps2, effort);
+    let mut search = GapSearch { plant, stream, sufficient_margin_m: bound_m - NEAR_BOUND_M };
+    let best = search.find_best(program_mps2, effort);
     let plant = search.plant;
     let found_by = FoundBy::ClosedLoop { simulations: plant.simulations };
     let replay = |candidate: SimulatedProfile| {
-        Escape::of(scenario, plant.first_ego(), plant.each_step_mps2(&candidate.profile), found_by)
+        Escape::from_accelerations(scenario, plant.first_ego(), plant.step_accelerations_mps2(&candidate.profile), found_by)
     };
     best.into_iter().filter(|candidate| candidate.margin_m > 0.0).find_map(replay)
 }
@@ -86,15 +86,15 @@ impl GapSearch<'_> {
     /// Returns candidates, the best one first.
     fn find_best(&mut self, program_mps2: Option<&[Vec<f64>]>, effort: SearchEffort) -> Vec<SimulatedProfile> {
         let (enough_m, cycles) = match effort {
-            SearchEffort::Decide => (DECISIVE_MARGIN_M.min(self.enough_m), DECIDING_CYCLES),
-            SearchEffort::Optimise => (self.enough_m, CYCLES.len()),
+            SearchEffort::Decide => (DECISIVE_MARGIN_M.min(self.sufficient_margin_m), DECIDING_CYCLES),
+            SearchEffort::Optimise => (self.sufficient_margin_m, CYCLES.len()),
         };
-        let program = program_mps2.map(|each_step_mps2| self.plant.profile(each_step_mps2));
-        let mut best = self.plant.try_out(program.into_iter().collect());
+        let program = program_mps2.map(|each_step_mps2| self.plant.cell_profile(each_step_mps2));
+        let mut best = self.plant.simulate_profiles(program.into_iter().collect());
         if best.iter().all(|at| at.margin_m < enough_m) {
             best.extend(self.improve_shapes(enough_m, cycles).into_iter().map(|(_, at)| at));
         }
-        sort(&mut best);
+        sort_by_margin(&mut best);
         for [ascents, steps] in ASCENTS {
             best.truncate(ascents);
             for index in 0..best.len() {
@@ -102,19 +102,19 @@ impl GapSearch<'_> {
                     break;
                 }
                 if let Some(at) = best.get_mut(index) {
-                    *at = self.ascended(at.clone(), steps, enough_m);
+                    *at = self.ascend(at.clone(), steps, enough_m);
                 }
             }
-            sort(&mut best);
+            sort_by_margin(&mut best);
         }
         best
     }
 
     /// The best simple shapes that differ from each other, after random changes.
-    fn improve_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(Shape, SimulatedProfile)> {
-        let mut tried = self.try_out(shapes::shapes(&self.plant));
+    fn improve_shapes(&mut self, enough_m: f64, cycles: usize) -> Vec<(SpeedShape, SimulatedProfile)> {
+        let mut tried = self.simulate_shapes(shapes::simple_shapes(&self.plant));
         tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
-        let mut best: Vec<(Shape, SimulatedProfile)> = Vec::new();
+        let mut best: Vec<(SpeedShape, SimulatedProfile)> = Vec::new();
         for (shape, at) in tried {
             let is_new = best.iter().all(|(_, other)| distance_mps2(&other.profile, &at.profile) > MIN_DISTANCE_MPS2);
             if is_new && best.len() < CYCLES[0][0] {
@@ -128,9 +128,9 @@ impl GapSearch<'_> {
                     break;
                 }
                 let Some((shape, _)) = best.get(index) else { continue };
-                let changes = (0..CHANGES_PER_ROUND).map(|_| shape.changed(&self.plant, &mut self.stream)).collect();
+                let changes = (0..CHANGES_PER_ROUND).map(|_| shape.mutate(&self.plant, &mut self.stream)).collect();
                 let better =
-                    self.try_out(changes).into_iter().max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
+                    self.simulate_shapes(changes).into_iter().max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
                 if let (Some(current), Some(better)) = (best.get_mut(index), better)
                     && better.1.margin_m > current.1.margin_m
                 {
@@ -142,21 +142,21 @@ impl GapSearch<'_> {
         best
     }
 
-    fn simulate_shapes(&mut self, shapes: Vec<Shape>) -> Vec<(Shape, SimulatedProfile)> {
+    fn simulate_shapes(&mut self, shapes: Vec<SpeedShape>) -> Vec<(SpeedShape, SimulatedProfile)> {
         let profiles = shapes.iter().map(|shape| shape.profile(&self.plant)).collect();
-        let tried = self.plant.try_out(profiles);
+        let tried = self.plant.simulate_profiles(profiles);
         shapes.into_iter().zip(tried).collect()
     }
 
     fn ascend(&mut self, from: SimulatedProfile, steps: usize, enough_m: f64) -> SimulatedProfile {
         let mut ascent = Ascent::new(from);
         for _ in 0..steps {
-            if ascent.is_over() || ascent.at.margin_m >= enough_m {
+            if ascent.is_over() || ascent.current.margin_m >= enough_m {
                 break;
             }
             ascent.step(&mut self.plant, &mut self.stream);
         }
-        ascent.at
+        ascent.current
     }
 }
 

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use super::super::profile_simulator::ProfileOutcome;
 use super::super::avoidance_problem::delay_steps;
-use super::super::escape::{by_script, follow, pieces};
+use super::super::escape::{scripted_run_options, set_script, script_pieces};
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, Simulated, simulate_batch};
+use crumple_world::sim::{RecordingLevel, Run, SimulationResult, simulate_batch};
 
 /// Acceleration of each vehicle under test in each cell, in m/s².
 pub(super) type Profile = Vec<Vec<f64>>;
@@ -142,7 +142,7 @@ impl<'s> Plant<'s> {
 
     /// Simulates profiles; one that makes no valid scenario has an infinitely negative margin.
     pub(super) fn simulate_profiles(&mut self, profiles: Vec<Profile>) -> Vec<SimulatedProfile> {
-        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| ProfileOutcome::of(&simulated).margin_m);
+        let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| ProfileOutcome::from_simulated(&simulated).margin_m);
         let tried = |(profile, margin_m): (Profile, Option<f64>)| SimulatedProfile {
             profile,
             margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),
@@ -155,7 +155,7 @@ impl<'s> Plant<'s> {
         let stride = self.sample_steps();
         let samples = self.scenario.steps() / stride + 1;
         let vehicles = self.scenario.vehicles().len();
-        let sampled = |simulated: Simulated| {
+        let sampled = |simulated: SimulationResult| {
             let trace = simulated.trace.as_ref()?;
             let pair = |rear: usize| {
                 let gaps_m = trace.gaps_m(rear).into_iter().step_by(stride).map(|gap_m| gap_m.unwrap_or(f64::NAN));
@@ -179,11 +179,11 @@ impl<'s> Plant<'s> {
         &mut self,
         profiles: &[Profile],
         level: RecordingLevel,
-        reduce: impl Fn(Simulated) -> R + Sync,
+        reduce: impl Fn(SimulationResult) -> R + Sync,
     ) -> Vec<Option<R>> {
-        let scripted: Vec<Option<Scenario>> = profiles.iter().map(|profile| self.scripted(profile)).collect();
+        let scripted: Vec<Option<Scenario>> = profiles.iter().map(|profile| self.with_scripts(profile)).collect();
         let runs: Vec<Option<Run>> =
-            scripted.iter().map(|scenario| Run::new(scenario.as_ref()?, by_script()).ok()).collect();
+            scripted.iter().map(|scenario| Run::new(scenario.as_ref()?, scripted_run_options()).ok()).collect();
         let is_valid: Vec<bool> = runs.iter().map(Option::is_some).collect();
         let runs: Vec<Run> = runs.into_iter().flatten().collect();
         self.simulations += runs.len();
@@ -193,10 +193,10 @@ impl<'s> Plant<'s> {
 
     fn with_scripts(&self, profile: &Profile) -> Option<Scenario> {
         let step_s = self.scenario.spec().step_s;
-        let scripts = self.each_step_mps2(profile);
+        let scripts = self.step_accelerations_mps2(profile);
         let scripted = self.scenario.edited(|spec| {
             for (vehicle, each) in spec.vehicles.iter_mut().skip(self.first_ego()).zip(&scripts) {
-                follow(vehicle, pieces(each, step_s));
+                set_script(vehicle, script_pieces(each, step_s));
             }
         });
         scripted.ok()

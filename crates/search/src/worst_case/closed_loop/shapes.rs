@@ -36,7 +36,7 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
     let duration_s = plant.duration_s();
     let mut all = vec![vec![]];
     for begins_s in ONSETS_S {
-        for (brake, speed) in BRAKES.into_iter().flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed))) {
+        for (brake, speed) in BRAKE_SHARES.into_iter().flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed))) {
             let slows = [ShapeSegment::Hold { until_s: begins_s }, ShapeSegment::Change { to: speed, share: brake }];
             for last in FINAL_SPEED_SHARES.into_iter().take(if speed == 0.0 { 1 } else { FINAL_SPEED_SHARES.len() }) {
                 let (until_s, to) = if last < 0.0 { (0.5 * duration_s, 0.0) } else { (duration_s, last * speed) };
@@ -48,7 +48,7 @@ pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
         }
     }
     for (halt, added) in INTERMEDIATE_SPEED_SHARES.into_iter().flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added))) {
-        for (first, last) in BRAKES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last))) {
+        for (first, last) in BRAKE_SHARES.into_iter().take(4).flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last))) {
             let [slows, speeds_up, stops] =
                 [(halt, first), (halt + added, 1.0), (0.0, last)].map(|(to, share)| ShapeSegment::Change { to, share });
             all.push(vec![slows, speeds_up, stops]);
@@ -88,7 +88,7 @@ impl SpeedShape {
             }
             knots
         };
-        Self((0..plant.egos()).map(of_ego).collect())
+        Self((0..plant.ego_count()).map(of_ego).collect())
     }
 
     /// The acceleration in each cell, as near to the knots as the limits allow.
@@ -104,7 +104,7 @@ impl SpeedShape {
                 speed_mps += held_mps2 * cell_s;
                 held_mps2
             };
-            (0..plant.cells()).map(held).collect()
+            (0..plant.cell_count()).map(held).collect()
         };
         self.0.iter().enumerate().map(of_ego).collect()
     }
@@ -113,9 +113,9 @@ impl SpeedShape {
     pub(super) fn mutate(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
         let mut changed = self.clone();
         for _ in 0..stream.random_range(1..=3) {
-            let ego = stream.random_range(0..plant.egos().max(1));
+            let ego = stream.random_range(0..plant.ego_count().max(1));
             if let Some(knots) = changed.0.get_mut(ego) {
-                change(knots, plant.duration_s(), stream);
+                mutate_knots(knots, plant.duration_s(), stream);
             }
         }
         changed

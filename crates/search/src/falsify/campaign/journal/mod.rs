@@ -18,9 +18,9 @@ use std::time::{Duration, Instant};
 
 use crumple_core::digest::Sha256;
 use crumple_store::disk::{self, DiskError};
-use crumple_store::work::{Prefix, Work, WorkError};
+use crumple_store::run_folder::{Prefix, RunFolder, RunFolderError};
 use crumple_world::measure::RunVerdict;
-use record::{Found, RECORD, checksum_of, is_zero, record};
+use record::{JournalEntry, RECORD_BYTES, record_checksum, is_all_zero, read_record};
 pub(super) use record::{decode, encode};
 
 /// The identity of the work, in hexadecimal, and the end of its line.
@@ -48,19 +48,19 @@ const OTHER_CAMPAIGN_MESSAGE: &str = "not of this campaign: it cannot go on; rem
 
 impl Journal {
     /// That of a work: an empty one, or the one of an earlier run.
-    pub(super) fn open_in_folder(work: &Work, name: &str, resume: bool) -> Result<Self, WorkError> {
+    pub(super) fn open_in_folder(work: &RunFolder, name: &str, resume: bool) -> Result<Self, RunFolderError> {
         let (path, identity) = (work.path(name), work.identity());
         if resume { Self::resume(&path, &identity) } else { Self::create(&path, &identity) }
     }
 
     /// An empty journal of work with that identity.
-    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, WorkError> {
+    pub(super) fn create(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let mut file = File::create(path).map_err(unusable)?;
-        file.write_all(header(identity).as_bytes()).map_err(unusable)?;
+        file.write_all(header_line(identity).as_bytes()).map_err(unusable)?;
         file.sync_all().map_err(unusable)?;
         disk::sync_parent_folder(path)?;
-        Ok(Self::of(file, path, identity, None))
+        Ok(Self::new(file, path, identity, None))
     }
 
     fn new(file: File, path: &Path, identity: &str, earlier: Option<BufReader<File>>) -> Self {
@@ -68,62 +68,62 @@ impl Journal {
             file,
             path: path.to_owned(),
             identity: identity.to_owned(),
-            earlier,
-            records: 0,
-            digest: Sha256::default().with(header(identity)),
-            synced: Instant::now(),
+            previous_records: earlier,
+            record_count: 0,
+            digest: Sha256::default().with(header_line(identity)),
+            last_sync: Instant::now(),
         }
     }
 
     /// Looks whether work with that identity could go on with a journal, and changes nothing.
-    pub(super) fn verify(path: &Path, identity: &str) -> Result<(), WorkError> {
+    pub(super) fn verify(path: &Path, identity: &str) -> Result<(), RunFolderError> {
         let unusable = DiskError::at(path);
         let mut records = BufReader::new(File::open(path).map_err(unusable)?);
-        if !begins(&mut records, identity).map_err(unusable)?.ok_or_else(|| WorkError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
+        if !has_header(&mut records, identity).map_err(unusable)?.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Ok(());
         }
         let mut index = 0;
-        while let Found::Record(..) = record(&mut records, identity, index).map_err(unusable)?.at(path, index)? {
+        while let JournalEntry::Record(..) = read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)? {
             index += 1;
         }
         Ok(())
     }
 
     /// The journal of an earlier run, or an empty one if there is none.
-    pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, WorkError> {
+    pub(super) fn resume(path: &Path, identity: &str) -> Result<Self, RunFolderError> {
         let unusable = DiskError::at(path);
         let length = match fs::metadata(path) {
             Ok(data) => data.len(),
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(unusable(error).into()),
         };
-        let Some(beyond) = length.checked_sub(HEADER as u64) else { return Self::create(path, identity) };
+        let Some(beyond) = length.checked_sub(HEADER_BYTES as u64) else { return Self::create(path, identity) };
         let mut earlier = BufReader::new(File::open(path).map_err(unusable)?);
-        let is_begun = begins(&mut earlier, identity).map_err(unusable)?;
-        if !is_begun.ok_or_else(|| WorkError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
+        let is_begun = has_header(&mut earlier, identity).map_err(unusable)?;
+        if !is_begun.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Self::create(path, identity);
         }
         let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
-        file.set_len(length - beyond % RECORD as u64).map_err(unusable)?;
-        Ok(Self::of(file, path, identity, Some(earlier)))
+        file.set_len(length - beyond % RECORD_BYTES as u64).map_err(unusable)?;
+        Ok(Self::new(file, path, identity, Some(earlier)))
     }
 
     /// The next verdict of an earlier run.
-    pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, WorkError> {
-        let Some(earlier) = &mut self.earlier else { return Ok(None) };
+    pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, RunFolderError> {
+        let Some(earlier) = &mut self.previous_records else { return Ok(None) };
         let unusable = DiskError::at(&self.path);
-        match record(earlier, &self.identity, self.records).map_err(unusable)?.at(&self.path, self.records)? {
-            Found::Record(body, checksum) => {
-                self.records += 1;
+        match read_record(earlier, &self.identity, self.record_count).map_err(unusable)?.reject_damage(&self.path, self.record_count)? {
+            JournalEntry::Record(body, checksum) => {
+                self.record_count += 1;
                 self.digest.update(body);
                 self.digest.update(checksum);
                 Ok(Some(decode(&body)))
             }
             found => {
-                if matches!(found, Found::Zeros) {
-                    self.file.set_len(self.bytes()).map_err(unusable)?;
+                if matches!(found, JournalEntry::Zeros) {
+                    self.file.set_len(self.length_bytes()).map_err(unusable)?;
                 }
-                self.earlier = None;
+                self.previous_records = None;
                 Ok(None)
             }
         }
@@ -131,26 +131,26 @@ impl Journal {
 
     /// Of all records used or written so far.
     fn length_bytes(&self) -> u64 {
-        HEADER as u64 + RECORD as u64 * self.records
+        HEADER_BYTES as u64 + RECORD_BYTES as u64 * self.record_count
     }
 
     /// Appends verdicts; they survive the end of the process, however sudden. What has reached the disk, if anything has.
     pub(super) fn append(&mut self, verdicts: &[RunVerdict]) -> Result<Option<Prefix>, DiskError> {
-        let mut bytes = Vec::with_capacity(verdicts.len() * RECORD);
-        for (verdict, index) in verdicts.iter().zip(self.records..) {
+        let mut bytes = Vec::with_capacity(verdicts.len() * RECORD_BYTES);
+        for (verdict, index) in verdicts.iter().zip(self.record_count..) {
             let body = encode(verdict);
             bytes.extend(body);
-            bytes.extend(checksum_of(&self.identity, index, &body));
+            bytes.extend(record_checksum(&self.identity, index, &body));
         }
-        self.records += verdicts.len() as u64;
+        self.record_count += verdicts.len() as u64;
         self.file.write_all(&bytes).map_err(DiskError::at(&self.path))?;
         self.digest.update(&bytes);
-        if self.synced.elapsed() <= BETWEEN {
+        if self.last_sync.elapsed() <= SYNC_INTERVAL {
             return Ok(None);
         }
         self.file.sync_data().map_err(DiskError::at(&self.path))?;
-        self.synced = Instant::now();
-        Ok(Some(Prefix { bytes: self.bytes(), sha256: self.digest.clone().hexadecimal() }))
+        self.last_sync = Instant::now();
+        Ok(Some(Prefix { bytes: self.length_bytes(), sha256: self.digest.clone().hexadecimal() }))
     }
 }
 
@@ -161,25 +161,25 @@ pub(super) fn read_verdicts_after(
     identity: &str,
     known: u64,
     most: usize,
-) -> Result<Option<Vec<RunVerdict>>, WorkError> {
+) -> Result<Option<Vec<RunVerdict>>, RunFolderError> {
     let unusable = DiskError::at(path);
     let file = match File::open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         file => file.map_err(unusable)?,
     };
     let mut records = BufReader::new(file);
-    if !begins(&mut records, identity)
+    if !has_header(&mut records, identity)
         .map_err(unusable)?
-        .ok_or_else(|| WorkError::OtherBuild { path: path.to_owned() })?
+        .ok_or_else(|| RunFolderError::OtherBuild { path: path.to_owned() })?
     {
         return Ok(Some(Vec::new()));
     }
-    records.seek(SeekFrom::Start(HEADER as u64 + RECORD as u64 * known)).map_err(unusable)?;
+    records.seek(SeekFrom::Start(HEADER_BYTES as u64 + RECORD_BYTES as u64 * known)).map_err(unusable)?;
     let mut verdicts = Vec::new();
     while verdicts.len() < most {
         let index = known + verdicts.len() as u64;
-        match record(&mut records, identity, index).map_err(unusable)?.at(path, index)? {
-            Found::Record(body, _) => verdicts.push(decode(&body)),
+        match read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)? {
+            JournalEntry::Record(body, _) => verdicts.push(decode(&body)),
             _ => break,
         }
     }
@@ -189,15 +189,15 @@ pub(super) fn read_verdicts_after(
 /// Whether a journal begins as that of work with an identity does; none if it is another's. One whose header was cut short, or never
 /// reached the disk, holds nothing.
 fn has_header(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
-    let mut found = [0; HEADER];
+    let mut found = [0; HEADER_BYTES];
     match journal.read_exact(&mut found) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Some(false)),
         read => read?,
     }
-    if found == [0; HEADER] && is_zero(journal)? {
+    if found == [0; HEADER_BYTES] && is_all_zero(journal)? {
         return Ok(Some(false));
     }
-    Ok((found == header(identity).as_bytes()).then_some(true))
+    Ok((found == header_line(identity).as_bytes()).then_some(true))
 }
 
 fn header_line(identity: &str) -> String {

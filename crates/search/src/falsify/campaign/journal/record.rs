@@ -4,8 +4,8 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use crumple_core::digest::Sha256;
-use crumple_store::work::WorkError;
-use crumple_world::measure::{Braking, FirstContact, RunVerdict};
+use crumple_store::run_folder::RunFolderError;
+use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
 
 /// Robustness, time and impact speed as doubles, two vehicles as 32-bit numbers, braking (or what stands in its place) and
@@ -33,9 +33,9 @@ pub(super) enum JournalEntry {
 
 impl JournalEntry {
     /// What was found, unless it is damage.
-    pub(super) fn reject_damage(self, path: &Path, index: u64) -> Result<Self, WorkError> {
+    pub(super) fn reject_damage(self, path: &Path, index: u64) -> Result<Self, RunFolderError> {
         match self {
-            Self::Damaged => Err(WorkError::damaged(
+            Self::Damaged => Err(RunFolderError::damaged(
                 path,
                 format!(
                     "record {} is damaged, its checksum does not match: this campaign cannot go on; remove its folder, or use \
@@ -52,12 +52,12 @@ impl JournalEntry {
 pub(super) fn read_record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<JournalEntry> {
     let (mut body, mut checksum) = ([0; BODY_BYTES], [0; CHECKSUM_BYTES]);
     match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(JournalEntry::Cut),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(JournalEntry::Truncated),
         read => read?,
     }
-    if checksum == checksum_of(identity, index, &body) {
+    if checksum == record_checksum(identity, index, &body) {
         Ok(JournalEntry::Record(body, checksum))
-    } else if body == [0; BODY_BYTES] && checksum == [0; CHECKSUM_BYTES] && is_zero(journal)? {
+    } else if body == [0; BODY_BYTES] && checksum == [0; CHECKSUM_BYTES] && is_all_zero(journal)? {
         Ok(JournalEntry::Zeros)
     } else {
         Ok(JournalEntry::Damaged)
@@ -86,7 +86,7 @@ pub(super) fn record_checksum(identity: &str, index: u64, body: &[u8; BODY_BYTES
 
 /// The bytes of a verdict.
 pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BYTES] {
-    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failed) {
+    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failure) {
         (Some(contact), _) => {
             let FirstContact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, ego_braking, rear_class } =
                 contact;
@@ -114,7 +114,7 @@ pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerd
         u32::from_le_bytes(bytes.unwrap_or_default())
     };
     let [.., braking, class] = *record;
-    let contact = Braking::ALL.get(usize::from(braking)).map(|&ego_braking| FirstContact {
+    let contact = BrakingLevel::ALL.get(usize::from(braking)).map(|&ego_braking| FirstContact {
         time_s: double(1),
         front_vehicle: vehicle(0),
         rear_vehicle: vehicle(1),
@@ -123,5 +123,5 @@ pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerd
         rear_class: VehicleClass::ALL.get(usize::from(class)).copied().unwrap_or(VehicleClass::Light),
     });
     let failed = (braking == CONTROLLER_FAILED).then(|| (double(1), vehicle(0)));
-    RunVerdict { robustness: double(0), contact, failed }
+    RunVerdict { robustness: double(0), contact, failure: failed }
 }
