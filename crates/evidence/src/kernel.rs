@@ -11,7 +11,7 @@ use crumple_world::scenario::{PAPER_STEP_S, VehicleClass};
 pub fn shipped_kernels() -> Vec<(String, Certificate)> {
     let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
     let certificates = pairs.filter_map(|(own, ahead)| {
-        let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let kernel = ViabilityKernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let name = format!("{}-behind-{}", own.name(), ahead.name());
         let certificate = kernel_certificate(&kernel, PAPER_STEP_S, MIN_MARGIN_M)?;
         Some((name, certificate))
@@ -23,10 +23,10 @@ pub fn shipped_kernels() -> Vec<(String, Certificate)> {
 ///
 /// Numbers are taken as they are printed: 7.5 is 15/2, and 0.01 is 1/100.
 #[must_use]
-pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
+pub fn kernel_certificate(kernel: &ViabilityKernel, step_s: f64, margin_m: f64) -> Option<Certificate> {
     let [b, c, h, m] = [kernel.own_brake_mps2, kernel.ahead_brake_mps2, step_s, margin_m].map(Rational::from_f64);
     let (b, c) = (b?, c?);
-    let harder = b.minus(c)?;
+    let harder = b.checked_sub(c)?;
     Some(certificate_without_scenario(Statement::Kernel(crumple_verify::KernelClaim {
         ego_brake_mps2: b.to_string(),
         leader_brake_mps2: c.to_string(),
@@ -34,7 +34,7 @@ pub fn kernel_certificate(kernel: &Kernel, step_s: f64, margin_m: f64) -> Option
         margin_m: m?.to_string(),
         stopping_own_squared: b.half_reciprocal()?.to_string(),
         stopping_ahead_squared: format!("-{}", c.half_reciprocal()?),
-        catching_up_squared: if harder.over > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
+        catching_up_squared: if harder.numerator > 0 { Some(harder.half_reciprocal()?.to_string()) } else { None },
     })))
 }
 

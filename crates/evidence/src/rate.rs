@@ -8,7 +8,7 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, RunFingerprint};
-use super::exposure::{RatePerExposure, Part, FailureProbability, count_on_resamples};
+use super::exposure::{RatePerExposure, ResampleShard, FailureProbability, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Quiet, Stopped};
@@ -352,12 +352,12 @@ impl RatePlan {
     /// What new runs come to in some of the resamples: how many fail in each of those to which a space could be fitted.
     pub(super) fn count_resamples(&self, own: Range<u64>, counter: &ProgressCounter<'_>) -> Result<Vec<u64>, RateError> {
         let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
-        let mut part = Part::of(own);
+        let mut part = ResampleShard::new(own);
         let mut failures =
             |space: &ScenarioSpace, seed: u64, runs: u64| part.next(0, || self.count_failures(space, (seed, runs), counter));
         // Why nothing can be resampled is said by who puts the parts together.
         let _ = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
-        Ok(part.found())
+        Ok(part.into_results())
     }
 
     /// How many of so many runs fail in a space, with a seed.

@@ -76,7 +76,7 @@ pub enum SuiteProblem {
     #[error("a test has either `lead` or `refused`")]
     LeadOrRefusal,
     /// A figure that the situation needs.
-    #[error("is missing: where the lead is {lead} there must be one{}", alternative(alternative.as_ref()))]
+    #[error("is missing: where the lead is {lead} there must be one{}", describe_alternative(alternative.as_ref()))]
     Missing {
         /// The situation.
         lead: &'static str,

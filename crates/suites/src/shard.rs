@@ -104,7 +104,7 @@ impl Sharded for ShardedSuite {
 
 impl Mergeable for ShardedSuite {
     type File = SuiteShardResults;
-    type SuiteShardResults = Vec<ControllerResultRow>;
+    type Results = Vec<ControllerResultRow>;
 
     fn check(&self, results: SuiteShardResults, shard: ShardId, own: &Range<u64>) -> Result<Vec<ControllerResultRow>, String> {
         let names = self.run.controllers.iter().map(|(name, _)| name).cycle();
@@ -151,7 +151,7 @@ pub fn run_shard(
     resume: bool,
     observer: &dyn Observer<RunProgress>,
 ) -> Result<u64, SuiteShardError> {
-    let all = shard.range(pair_count(suite.spec(), controllers.len()), ShardedSuite::SWEEP_PARTS)?;
+    let all = shard.range(pair_count(suite.spec(), controllers.len()), ShardedSuite::PARTS_NAME)?;
     let count = all.end - all.start;
     let identified = |controller: &NamedController| {
         let identity = controller.kind.identity();
@@ -248,7 +248,7 @@ impl MergedSuite {
     pub fn result(&self) -> Option<SuiteResult> {
         let rows = self.results().flatten().cloned();
         // All of them were read once already.
-        let tested: Vec<ControllerResult> = rows.filter_map(|row| row.read().ok()).collect();
+        let tested: Vec<ControllerResult> = rows.filter_map(|row| row.decode().ok()).collect();
         let (run, is_complete) = (&self.work().run, tested.len() as u64 == self.work().part_count());
         is_complete.then(|| assemble(&run.suite, run.estimator, run.controllers.len(), tested))
     }

@@ -5,10 +5,10 @@ use serde::Serialize;
 use super::FitError;
 use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    DroppedItem, BrakingEpisode, MAX_PLAUSIBLE_ACCEL_MPS2, HardestBrakingResult, LeaderSelection, MinBrake, EpisodeProblem, Omission, Recording, episodes,
+    DroppedItem, BrakingEpisode, MAX_PLAUSIBLE_ACCEL_MPS2, HardestBrakingResult, LeaderSelection, MinBrake, EpisodeProblem, Omission, Recording, find_episodes,
     following_exposure, hardest_braking, braking_clusters,
 };
-use crumple_world::scenario::space::{Exposure, ObservedData, ObservedParameter, SourceExposure};
+use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
 /// What is taken of recordings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -132,7 +132,7 @@ impl ExclusionCounts {
 
     fn add(&mut self, dropped: &DroppedItem) {
         match dropped.omission {
-            Omission::Episode { why: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. }, .. } => {
+            Omission::Episode { reason: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. }, .. } => {
                 self.no_follower += 1;
             }
             Omission::Episode { .. } => self.impossible_speeds += 1,
@@ -170,7 +170,7 @@ pub struct EpisodeSample {
     /// ... and what they were.
     pub observed: ObservedData,
     /// In how much driving.
-    pub exposure: Exposure,
+    pub exposure: DrivingExposure,
     /// How large the vehicles were, front to rear.
     pub sizes: Vec<VehicleSizes>,
     /// What is not among the episodes.
@@ -198,7 +198,7 @@ impl EpisodeSample {
         }
         let mut collected = EpisodeCollector::new(taken);
         recordings.iter().try_for_each(|recording| collected.add(recording))?;
-        let EpisodeCollector { mut numbers, clusters: waves, mut columns, lengths, sources, exclusions: left_out, out_of_range: outside, .. } = collected;
+        let EpisodeCollector { features: mut numbers, clusters: waves, mut columns, lengths, sources, exclusions: left_out, out_of_range: outside, .. } = collected;
         let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let outside_by = outside_by.map(|(number, _)| number.name.clone());
         let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::new(lengths)).collect();
@@ -221,7 +221,7 @@ impl EpisodeSample {
                 most += &format!("; {}: {why}", source_name(recording));
             }
             let (shorter, outside) = (left_out.too_few_vehicles, left_out.out_of_range);
-            return Err(FitError::TooFew { found, needed, vehicles, too_few_vehicles: shorter, out_of_range: outside, max: most });
+            return Err(FitError::TooFew { found, needed, vehicles, too_few_vehicles: shorter, out_of_range: outside, details: most });
         }
         if found > MAX_EPISODES {
             return Err(FitError::TooMany { found, max: MAX_EPISODES, what: "episodes" });
@@ -233,7 +233,7 @@ impl EpisodeSample {
             point_mass: number.point_mass.filter(|point| values.contains(point)),
             values,
         };
-        let exposure = Exposure {
+        let exposure = DrivingExposure {
             episodes: found as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
@@ -279,7 +279,7 @@ impl EpisodeCollector {
 
     fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
         let ExtractionConfig { vehicles, min_brake, leaders } = self.extraction;
-        let found = episodes(recording, min_brake, leaders);
+        let found = find_episodes(recording, min_brake, leaders);
         if found.episodes.len() > MAX_EPISODES {
             return Err(FitError::TooMany { found: found.episodes.len(), max: MAX_EPISODES, what: "episodes" });
         }

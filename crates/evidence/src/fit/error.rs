@@ -42,7 +42,7 @@ pub enum FitError {
         details: String,
     },
     /// More than a space may keep.
-    #[error("{found} {what}: at details {details} can be fitted")]
+    #[error("{found} {what}: at most {max} can be fitted")]
     TooMany {
         /// How many there are.
         found: usize,

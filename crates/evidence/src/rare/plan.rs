@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::splitting::{LimitState, RandomInputs};
 use super::{SplittingConfig, RareEstimate, Pilot, RareMethod};
-use crate::exposure::{RatePerExposure, GaussianComponent, FailureProbability, estimate_on_resamples};
+use crate::exposure::{RatePerExposure, ResampleShard, FailureProbability, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_store::shard::{MergeError, TooManyShards};
@@ -192,11 +192,11 @@ impl RarePlan {
         if own.is_empty() {
             return Ok(Vec::new());
         }
-        let (mut part, none) = (GaussianComponent::of(own), RareEstimate::empty());
+        let (mut part, none) = (ResampleShard::new(own), RareEstimate::empty());
         let mut again = |space: &ScenarioSpace, seed: u64| part.next(none.clone(), || again(space, seed));
         // Why nothing can be resampled is said by who puts the parts together.
         let _ = estimate_on_resamples(&self.space, self.seed, resamples, &mut again)?;
-        Ok(part.found())
+        Ok(part.into_results())
     }
 
     /// An estimate in another space, with less effort.

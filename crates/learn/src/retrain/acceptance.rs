@@ -4,10 +4,10 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::Standing;
+use super::RegressionResults;
 use super::regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
-use crumple_core::digits::nearest;
-use crumple_evidence::Discordant;
+use crumple_core::digits::format_rounded;
+use crumple_evidence::DiscordantPairs;
 
 /// What became of a candidate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,14 +51,14 @@ pub enum RejectionReason {
         /// Name of the space.
         space: String,
         /// The draws in which one of the two policies does, and the other does not.
-        contacts: Discordant,
+        contacts: DiscordantPairs,
     },
     /// It is less often of use in a regression space in which `idm` always is, beyond chance.
     LessUseful {
         /// Name of the space.
         space: String,
         /// The draws in which one of the two policies is of no use, and the other is.
-        drives: Discordant,
+        drives: DiscordantPairs,
     },
     /// It is the policy before it: no checkpoint was better.
     Unchanged,
@@ -90,8 +90,8 @@ impl FailureChange {
         Self {
             before: before.len(),
             after: after.len(),
-            fixed: missing(before, after).count(),
-            regressed: missing(after, before).count(),
+            fixed: only_in_first(before, after).count(),
+            regressed: only_in_first(after, before).count(),
         }
     }
 }
@@ -112,42 +112,42 @@ fn only_in_first<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterato
 /// aside do not rise, and it is worse in no regression space: by McNemar's exact one-sided test on the same draws
 /// ([`Discordant`]), at [`SIGNIFICANCE`] for each space and property.
 #[must_use]
-pub fn decide_acceptance(before: &Standing, after: &Standing) -> Acceptance {
+pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) -> Acceptance {
     let mut objections = Vec::new();
-    let scenarios: Vec<String> = missing(&after.paper, &before.paper).cloned().collect();
+    let scenarios: Vec<String> = only_in_first(&after.paper, &before.paper).cloned().collect();
     if !scenarios.is_empty() {
         objections.push(RejectionReason::Paper { scenarios });
     }
-    let draws: Vec<u64> = missing(&after.nominal, &before.nominal).copied().collect();
+    let draws: Vec<u64> = only_in_first(&after.nominal, &before.nominal).copied().collect();
     if !draws.is_empty() {
         objections.push(RejectionReason::Nominal { draws });
     }
     for of in &after.regression {
         if let Some(was) = before.regression.iter().find(|was| was.space == of.space) {
-            objections.extend(regressions(was, of));
+            objections.extend(space_rejections(was, of));
         }
     }
-    let (before, after) = (before.kept_aside.len(), after.kept_aside.len());
+    let (before, after) = (before.validation_set.len(), after.validation_set.len());
     if after > before {
-        objections.push(RejectionReason::KeptAside { before, after });
+        objections.push(RejectionReason::ValidationSet { before, after });
     }
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
 }
 
 /// What is worse in one space.
 fn space_rejections(before: &RegressionSpaceResult, after: &RegressionSpaceResult) -> impl Iterator<Item = RejectionReason> {
-    let contacts = discordant(&before.contacts, &after.contacts);
-    let drives = before.of_no_use.as_ref().zip(after.of_no_use.as_ref()).map(|(was, is)| discordant(was, is));
-    let is_worse = |of: &Discordant| of.is_worse(SIGNIFICANCE);
+    let contacts = discordant_pairs(&before.contacts, &after.contacts);
+    let drives = before.not_useful.as_ref().zip(after.not_useful.as_ref()).map(|(was, is)| discordant_pairs(was, is));
+    let is_worse = |of: &DiscordantPairs| of.is_worse(SIGNIFICANCE);
     let space = || after.space.clone();
-    let worse = Some(contacts).filter(is_worse).map(|contacts| RejectionReason::Worse { space: space(), contacts });
+    let worse = Some(contacts).filter(is_worse).map(|contacts| RejectionReason::MoreCollisions { space: space(), contacts });
     let less = drives.filter(is_worse).map(|drives| RejectionReason::LessUseful { space: space(), drives });
     worse.into_iter().chain(less)
 }
 
 /// Of two lists of failed draws, those that are in one alone.
-pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> Discordant {
-    Discordant { new: missing(after, before).count() as u64, fixed: missing(before, after).count() as u64 }
+pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
+    DiscordantPairs { only_second_fails: only_in_first(after, before).count() as u64, only_first_fails: only_in_first(before, after).count() as u64 }
 }
 
 impl Acceptance {
@@ -175,17 +175,17 @@ impl fmt::Display for RejectionReason {
         match self {
             Self::Paper { scenarios } => write!(out, "new contact in {}", scenarios.join(", ")),
             Self::Nominal { draws } => write!(out, "{} new contacts in draws of the paper's distribution", draws.len()),
-            Self::KeptAside { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
-            Self::Worse { space, contacts: of } => {
-                let Discordant { new, fixed } = of;
-                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {})", nearest(of.p_value(), 2))
+            Self::ValidationSet { before, after } => write!(out, "{after} contacts kept aside instead of {before}"),
+            Self::MoreCollisions { space, contacts: of } => {
+                let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
+                write!(out, "in {space} {new} new contacts and {fixed} fixed (p = {})", format_rounded(of.p_value(), 2))
             }
             Self::LessUseful { space, drives: of } => {
-                let Discordant { new, fixed } = of;
+                let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
                 write!(
                     out,
                     "in {space} of no use in {new} more drives and in {fixed} no longer (p = {})",
-                    nearest(of.p_value(), 2)
+                    format_rounded(of.p_value(), 2)
                 )
             }
             Self::Unchanged => out.write_str("no checkpoint was better"),

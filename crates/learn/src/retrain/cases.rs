@@ -6,7 +6,7 @@ use super::RetrainError;
 use super::corpus::CORPUS_VERSION;
 use super::files::scenarios_sha256;
 use crumple_core::digest::sha256;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 
 /// Avoidable scenarios in which the policy of some round touched a vehicle: the file `retrained-on.json`.
@@ -41,7 +41,7 @@ pub struct CollidingDraws {
 
 impl Cases {
     /// No cases yet.
-    pub(super) fn empty(space: &Space) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &ScenarioSpace) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
@@ -57,7 +57,7 @@ impl Cases {
     ///
     /// # Errors
     /// [`RetrainError::Scenario`] if one of them is none.
-    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, RetrainError> {
+    pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
         let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
         let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
@@ -66,7 +66,7 @@ impl Cases {
     /// These and those of another round.
     pub(super) fn with_round(
         mut self,
-        space: &Space,
+        space: &ScenarioSpace,
         draws: CollidingDraws,
         counterexamples: Vec<ScenarioSpec>,
     ) -> Result<Self, RetrainError> {

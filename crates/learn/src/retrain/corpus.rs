@@ -6,14 +6,14 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{add, read_json, write_json};
+use super::files::{hash_scenario, read_json, write_json};
 use super::progress::{RetrainingProgress, RetrainingObserver};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
-use crumple_store::work::{Work, WorkError};
+use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{
     Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
@@ -52,7 +52,7 @@ pub struct Corpus {
 
 impl Corpus {
     /// An empty one.
-    pub(super) fn empty(space: &Space, seed: u64) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &ScenarioSpace, seed: u64) -> Result<Self, RetrainError> {
         let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
@@ -78,7 +78,7 @@ impl Corpus {
     ///
     /// # Errors
     /// [`RetrainError::Scenario`] if a draw is none; [`Space::draw`] has none.
-    pub fn scenarios(&self, space: &Space) -> Result<Vec<Scenario>, RetrainError> {
+    pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
         Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
     }
 
@@ -86,15 +86,15 @@ impl Corpus {
     /// of those that are.
     pub(super) fn classify_next(
         &mut self,
-        space: &Space,
+        space: &ScenarioSpace,
         wanted: u64,
         witnesses: &[NamedController],
         estimator: EstimatorKind,
         mut seen: impl FnMut(&[Option<Contact>]),
     ) -> Result<(), RetrainError> {
         // No more than are missing: what a block holds beyond the last one wanted would be classed for nothing.
-        let range = self.draws..self.draws + (wanted - self.avoidable).min(BLOCK);
-        let classed = class(space, self.seed, range.clone(), witnesses, estimator)?;
+        let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
+        let classed = classify_draws(space, self.seed, range.clone(), witnesses, estimator)?;
         for (index, (class, contacts)) in range.zip(classed) {
             self.draws += 1;
             match class {
@@ -107,18 +107,18 @@ impl Corpus {
             }
         }
         let share = self.avoidable as f64 / self.draws as f64;
-        if self.draws >= BLOCK && share < LEAST_SHARE {
+        if self.draws >= BATCH_SIZE && share < MIN_AVOIDABLE_SHARE {
             let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
-            return Err(RetrainError::Hopeless { space, draws, avoidable, wanted });
+            return Err(RetrainError::TooFewAvoidable { space, draws, avoidable, wanted });
         }
         Ok(())
     }
 
     /// States the hash of what has been gathered.
-    pub(super) fn seal(&mut self, space: &Space) -> Result<(), RetrainError> {
+    pub(super) fn seal(&mut self, space: &ScenarioSpace) -> Result<(), RetrainError> {
         let mut digest = Sha256::default();
         for index in self.indices() {
-            add(&mut digest, &space.draw(self.seed, index)?)?;
+            hash_scenario(&mut digest, &space.draw(self.seed, index)?)?;
         }
         self.scenarios_sha256 = digest.hexadecimal();
         Ok(())
@@ -126,25 +126,25 @@ impl Corpus {
 
     /// The corpus in a file, gathered first if it is not there or not complete.
     pub(super) fn load_or_build(
-        (work, name): (&Work, &'static str),
-        space: &Space,
+        (work, name): (&RunFolder, &'static str),
+        space: &ScenarioSpace,
         (seed, wanted): (u64, u64),
         witnesses: &[NamedController],
         estimator: EstimatorKind,
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
-        let mut corpus = Self::begin(space, seed)?;
+        let mut corpus = Self::empty(space, seed)?;
         if let Some(found) = read_json::<Self>(work, name)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
                 let problem = "draws of another space or seed".to_owned();
-                return Err(WorkError::Damaged { path: work.path(name), problem }.into());
+                return Err(RunFolderError::Damaged { path: work.path(name), problem }.into());
             }
             corpus = found;
         }
         while corpus.scenarios_sha256.is_empty() {
-            watch.notify(&RetrainingProgress::Gathering { what: name, done: corpus.avoidable, wanted })?;
+            watch.notify(&RetrainingProgress::Gathering { file: name, done: corpus.avoidable, wanted })?;
             if corpus.avoidable < wanted {
-                corpus.grow(space, wanted, witnesses, estimator, |_| {})?;
+                corpus.classify_next(space, wanted, witnesses, estimator, |_| {})?;
             } else {
                 corpus.seal(space)?;
             }
@@ -158,7 +158,7 @@ impl Corpus {
 type ClassifiedDraw = (AvoidabilityClass, Vec<Option<Contact>>);
 
 fn classify_draws(
-    space: &Space,
+    space: &ScenarioSpace,
     seed: u64,
     range: Range<u64>,
     witnesses: &[NamedController],
@@ -167,11 +167,11 @@ fn classify_draws(
     let scenarios = range.map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
-        let found = drive(&scenarios, &witness.kind, estimator)?;
+        let found = first_contacts(&scenarios, &witness.kind, estimator)?;
         contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
     }
     let survived: Vec<bool> = contacts.iter().map(|of| of.iter().any(Option::is_none)).collect();
-    let classes = classes(&scenarios, &survived);
+    let classes = classify_scenarios(&scenarios, &survived);
     Ok(classes.into_iter().zip(contacts).collect())
 }
 

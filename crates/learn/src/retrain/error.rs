@@ -4,7 +4,7 @@ use crate::rl::TrainingError;
 use crumple_core::observer::Stopped;
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::PolicyError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::RunError;
@@ -18,7 +18,7 @@ pub enum RetrainError {
     Disk(#[from] DiskError),
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// The folder holds another retraining.
     #[error("{0}")]
     Folder(String),

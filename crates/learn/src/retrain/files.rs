@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 
 use super::RetrainError;
 use crumple_core::digest::Sha256;
-use crumple_store::work::{Work, WorkError};
+use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::scenario::Scenario;
 
 pub(super) const REPORT_JSON: &str = "report.json";
@@ -30,7 +30,7 @@ pub(super) const PLAN: &str = "retrain.toml";
 pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>) -> Result<String, RetrainError> {
     let mut digest = Sha256::default();
     for scenario in scenarios {
-        add(&mut digest, scenario)?;
+        hash_scenario(&mut digest, scenario)?;
     }
     Ok(digest.hexadecimal())
 }
@@ -45,14 +45,14 @@ pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
 }
 
 /// Writes a value as JSON.
-pub(super) fn write_json(work: &Work, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
+pub(super) fn write_json(work: &RunFolder, name: &str, value: &impl Serialize) -> Result<(), RetrainError> {
     Ok(work.write(name, to_json(value)?)?)
 }
 
 /// The value in a file; none if there is no such file.
-pub(super) fn read_json<T: DeserializeOwned>(work: &Work, name: &str) -> Result<Option<T>, RetrainError> {
+pub(super) fn read_json<T: DeserializeOwned>(work: &RunFolder, name: &str) -> Result<Option<T>, RetrainError> {
     let Some(bytes) = work.read(name)? else { return Ok(None) };
     let problem = |error: serde_json::Error| format!("not what a retraining wrote: {error}");
-    let damaged = |error| WorkError::Damaged { path: work.path(name), problem: problem(error) };
+    let damaged = |error| RunFolderError::Damaged { path: work.path(name), problem: problem(error) };
     Ok(serde_json::from_slice(&bytes).map(Some).map_err(damaged)?)
 }

@@ -6,19 +6,19 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, PLAN, POLICY, REPORT, TRAINING_CASES, SELECTION_SET, TEXT};
-use super::report::Report;
+use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, PLAN, POLICY, REPORT_JSON, TRAINING_CASES, SELECTION_SET, REPORT_MARKDOWN};
+use super::report::RetrainingReport;
 use crumple_store::difference;
-use crumple_store::work::{Asked, Work, WorkError};
+use crumple_store::run_folder::{RunFolderOptions, RunFolder, RunFolderError};
 
-use crate::rl::{ConfigError, TrainingConfig, bounds};
+use crate::rl::{TrainingConfigError, TrainingConfig, action_bounds};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::PAPER_STEP_S;
-use crumple_world::scenario::space::{Space, SpaceSpec};
+use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 
 /// The version of the file `retrain.toml`.
 pub const RETRAIN_VERSION: u32 = 1;
@@ -31,9 +31,9 @@ pub struct RetrainingPlan {
     /// What it is called: a built-in name or a path.
     pub initial_policy_name: String,
     /// Where failures are looked for.
-    pub space: Space,
+    pub space: ScenarioSpace,
     /// Spaces in none of which a round may make the policy worse, each with a name of its own.
-    pub regression_spaces: Vec<Space>,
+    pub regression_spaces: Vec<ScenarioSpace>,
     /// How the learner learns. Its number of episodes is replaced by the settings'; its screening draws are of the paper's
     /// distribution, and its ranking draws are avoidable draws of the space; its own spaces are not drawn from.
     pub training: TrainingConfig,
@@ -44,7 +44,7 @@ pub struct RetrainingPlan {
     /// How much of everything.
     pub settings: RetrainingSettings,
     /// Draws the report's picture, an SVG, to which its text refers.
-    pub render_svg: fn(&Report) -> String,
+    pub render_svg: fn(&RetrainingReport) -> String,
 }
 
 /// How much of everything.
@@ -83,10 +83,10 @@ impl Default for RetrainingSettings {
             episodes: 1000,
             budget: 1000,
             draws: 1000,
-            kept_aside: 2000,
+            validation_draws: 2000,
             nominal: 10_000,
             regression: 1000,
-            judged: 10_000,
+            test_draws: 10_000,
             nominal_share: 0.2,
             case_share: 0.2,
         }
@@ -105,7 +105,7 @@ pub const TRAINING_PRESET_TEXT: &str = include_str!("preset.toml");
 ///
 /// # Errors
 /// None: a test reads it.
-pub fn training_preset() -> Result<TrainingConfig, ConfigError> {
+pub fn training_preset() -> Result<TrainingConfig, TrainingConfigError> {
     TrainingConfig::parse(TRAINING_PRESET_TEXT, Path::new("retrain"))
 }
 
@@ -161,7 +161,7 @@ impl RetrainingPlan {
     }
 
     pub(super) fn training_seed(&self, round: u64) -> u64 {
-        derived_seed(self.seed, TRAININGS + round)
+        derived_seed(self.seed, TRAINING_SEED_BASE + round)
     }
 
     /// The text of `retrain.toml`.
@@ -169,19 +169,19 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
-        let hash = |space: &Space| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
-        let named = |space| Ok(SpaceHash { space: Space::name(space), sha256: hash(space)? });
+        let hash = |space: &ScenarioSpace| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
+        let named = |space| Ok(SpaceHash { space: ScenarioSpace::name(space), sha256: hash(space)? });
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
-            policy: &self.first_name,
-            policy_sha256: self.first.digest(),
+            policy: &self.initial_policy_name,
+            policy_sha256: self.initial_policy.digest(),
             method: self.method.name(),
             seed: self.seed,
             settings: self.settings,
             training: &self.training_until(self.training.episodes),
             space: self.space.spec(),
-            regression: self.regression.iter().map(named).collect::<Result<_, RetrainError>>()?,
+            regression: self.regression_spaces.iter().map(named).collect::<Result<_, RetrainError>>()?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
     }
@@ -196,32 +196,32 @@ impl RetrainingPlan {
 
     /// Whether the policy can be trained on with the preset: what it sees and does must mean the same.
     pub(super) fn check_policy(&self) -> Result<(), RetrainError> {
-        let (header, environment) = (self.first.header(), &self.training.environment);
-        let interval_s = f64::from(environment.decision_steps) * PAPER_STEP_S;
+        let (header, environment) = (self.initial_policy.header(), &self.training.environment);
+        let interval_s = f64::from(environment.action_repeat) * PAPER_STEP_S;
         let what = if header.observation != environment.observation.scaling() {
             "what is seen, or how it is scaled"
-        } else if header.action != bounds(environment) {
+        } else if header.action != action_bounds(environment) {
             "the bounds of the acceleration"
         } else if header.decision_interval_s != interval_s {
             "the time between decisions"
         } else {
             return Ok(());
         };
-        Err(RetrainError::OtherPolicy { policy: self.first_name.clone(), preset: self.training.name.clone(), what })
+        Err(RetrainError::PolicyMismatch { policy: self.initial_policy_name.clone(), preset: self.training.name.clone(), what })
     }
 
     /// The folder, if it is this plan's or nobody's; where it is another's, the error says in what they differ.
-    pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<Work, RetrainError> {
+    pub(super) fn open_run_folder(&self, folder: &Path, resume: bool) -> Result<RunFolder, RetrainError> {
         let configuration = self.to_toml()?;
-        let asked = Asked {
+        let asked = RunFolderOptions {
             kind: "retraining",
             configuration: &configuration,
             configuration_file: PLAN,
             resume,
-            outputs: &[PLAN, POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET, REPORT, TEXT, REPORT_SVG, "rounds/"],
+            outputs: &[PLAN, POLICY, TRAINING_CASES, SELECTION_SET, VALIDATION_SET, TEST_SET, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, "rounds/"],
         };
-        match Work::open(folder, asked) {
-            Err(WorkError::OtherConfiguration { path, found, .. }) => {
+        match RunFolder::open(folder, asked) {
+            Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
                 Err(RetrainError::Folder(difference::describe_toml(&path, "retraining", &found, &configuration)))
             }
             work => Ok(work?),

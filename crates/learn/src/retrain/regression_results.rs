@@ -5,12 +5,12 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::corpus::{Corpus, drive};
+use super::corpus::{Corpus, first_contacts};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
 use super::regression_spaces::{RegressionSpaceResult, RegressionSpaces};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in, built_in_names};
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::ControllerKind;
 
 /// Everything in which a policy touches a vehicle.
@@ -39,11 +39,11 @@ impl RegressionResults {
     ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
         let touched = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
-            let contacts = drive(scenarios, &controller, estimator)?;
+            let contacts = first_contacts(scenarios, &controller, estimator)?;
             Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
         };
-        let names = built_in_names().map(|(name, _)| name);
-        let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in(name)).collect();
+        let names = built_in_scenario_names().map(|(name, _)| name);
+        let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in_scenario(name)).collect();
         let mut paper = Vec::new();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
             let found = touched(&scenarios, estimator)?;
@@ -57,6 +57,6 @@ impl RegressionResults {
         let indices: Vec<u64> = kept_aside.indices().collect();
         let aside = touched(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
         let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
-        Ok(Self { paper, nominal, kept_aside, regression: regression.driven_by(&controller)? })
+        Ok(Self { paper, nominal, validation_set: kept_aside, regression: regression.evaluate(&controller)? })
     }
 }

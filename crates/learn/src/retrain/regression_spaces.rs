@@ -6,7 +6,7 @@ use super::RetrainError;
 use super::plan::{REGRESSION_SEED, RetrainingPlan};
 use crate::rl::usefulness;
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Usefulness;
+use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -39,7 +39,7 @@ pub struct RegressionSpaceResult {
 /// The draws of all regression spaces, and in which of them there is nothing to fear.
 pub(super) struct RegressionSpaces {
     estimator: EstimatorKind,
-    spaces: Vec<Drawn>,
+    spaces: Vec<RegressionSpace>,
 }
 
 struct RegressionSpace {
@@ -52,46 +52,46 @@ impl RegressionSpaces {
     pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
         let mut spaces = Vec::new();
         let idm = ControllerKind::from(ControllerSpec::Idm(Default::default()));
-        for space in &plan.regression {
+        for space in &plan.regression_spaces {
             let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
             let mut drawn =
-                Drawn { name: space.name().to_owned(), draws: draws.collect::<Result<_, _>>()?, is_everyday: true };
-            let found = drawn.driven_by(&idm, plan.estimator())?;
-            drawn.is_everyday = found.of_no_use.is_some_and(|of_no_use| of_no_use.is_empty());
+                RegressionSpace { name: space.name().to_owned(), draws: draws.collect::<Result<_, _>>()?, checks_usefulness: true };
+            let found = drawn.evaluate(&idm, plan.estimator())?;
+            drawn.checks_usefulness = found.not_useful.is_some_and(|of_no_use| of_no_use.is_empty());
             spaces.push(drawn);
         }
         Ok(Self { estimator: plan.estimator(), spaces })
     }
 
     pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<Vec<RegressionSpaceResult>, RetrainError> {
-        self.spaces.iter().map(|space| space.driven_by(controller, self.estimator)).collect()
+        self.spaces.iter().map(|space| space.evaluate(controller, self.estimator)).collect()
     }
 }
 
-impl Drawn {
+impl RegressionSpace {
     fn evaluate(&self, controller: &ControllerKind, estimator: EstimatorKind) -> Result<RegressionSpaceResult, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(estimator);
-        let level = if self.is_everyday { RecordingLevel::Trace } else { RecordingLevel::Summary };
+        let level = if self.checks_usefulness { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
-        for (block, draws) in self.draws.chunks(BLOCK).enumerate() {
+        for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
             let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
             let found = simulate_batch(&runs, level, |_, result| {
                 let touched = result.outcome.contact().is_some();
-                (touched, touched || usefulness(&result).is_some_and(is_of_no_use))
+                (touched, touched || usefulness(&result).is_some_and(is_not_useful))
             });
             for (index, (touched, is_useless)) in found.into_iter().enumerate() {
-                let index = (block * BLOCK + index) as u64;
+                let index = (block * BATCH_SIZE + index) as u64;
                 contacts.extend(touched.then_some(index));
                 of_no_use.extend(is_useless.then_some(index));
             }
         }
-        let of_no_use = self.is_everyday.then_some(of_no_use);
-        Ok(RegressionSpaceResult { space: self.name.clone(), draws: self.draws.len() as u64, contacts, of_no_use })
+        let of_no_use = self.checks_usefulness.then_some(of_no_use);
+        Ok(RegressionSpaceResult { space: self.name.clone(), draws: self.draws.len() as u64, contacts, not_useful: of_no_use })
     }
 }
 
-fn is_not_useful(found: Usefulness) -> bool {
-    !found.hard.is_none() || found.following.is_some_and(|following| following.left_behind)
+fn is_not_useful(found: UsefulnessMeasures) -> bool {
+    !found.hard.is_empty() || found.following.is_some_and(|following| following.left_behind)
 }
 
 #[cfg(test)]

@@ -4,16 +4,16 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::acceptance::{Change, discordant};
-use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, POLICY, REPORT, TRAINING_CASES, SELECTION_SET, TEXT, to_json};
-use super::test_set::{CONFIDENCE, Judged, Pairs, Tally};
-use super::plan::{RETRAIN_VERSION, RetrainingPlan, Settings};
+use super::acceptance::{FailureChange, discordant_pairs};
+use super::files::{TEST_SET, VALIDATION_SET, REPORT_SVG, POLICY, REPORT_JSON, TRAINING_CASES, SELECTION_SET, REPORT_MARKDOWN, to_json};
+use super::test_set::{CONFIDENCE, TestSetResults, PairedOutcomes, ControllerTally};
+use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::regression_spaces::SIGNIFICANCE;
 use super::round::{Round, RoundFindings};
-use super::{RetrainError, Standing};
+use super::{RetrainError, RegressionResults};
 use crumple_core::digest::sha256;
-use crumple_core::quoted::{MarkdownCode, MarkdownText};
-use crumple_store::work::Work;
+use crumple_core::quoting::{MarkdownCode, MarkdownText};
+use crumple_store::run_folder::RunFolder;
 
 /// Why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -65,24 +65,24 @@ pub struct RetrainingReport {
     /// Seed.
     pub seed: u64,
     /// How much of everything.
-    pub settings: Settings,
+    pub settings: RetrainingSettings,
     /// The rounds.
     pub rounds: Vec<Round>,
     /// Why there are no more.
     pub ending: RetrainingEnding,
     /// Where the first policy stands.
     #[serde(rename = "first_standing")]
-    pub first_results: Standing,
+    pub first_results: RegressionResults,
     /// Where the retrained one stands.
     #[serde(rename = "retrained_standing")]
-    pub retrained_results: Standing,
+    pub retrained_results: RegressionResults,
     /// Avoidable draws on which controllers were judged.
     #[serde(rename = "judged_draws")]
     pub test_draws: u64,
     /// What each of them did.
-    pub tallies: Vec<Tally>,
+    pub tallies: Vec<ControllerTally>,
     /// The two policies on the same draws.
-    pub pairs: Pairs,
+    pub pairs: PairedOutcomes,
     /// The policy and the corpora.
     pub files: Vec<FileHash>,
 }
@@ -90,11 +90,11 @@ pub struct RetrainingReport {
 impl RetrainingReport {
     pub(super) fn new(
         plan: &RetrainingPlan,
-        work: &Work,
-        (first_standing, retrained_standing): (Standing, Standing),
+        work: &RunFolder,
+        (first_standing, retrained_standing): (RegressionResults, RegressionResults),
         rounds: Vec<Round>,
         ending: RetrainingEnding,
-        judged: Judged,
+        judged: TestSetResults,
     ) -> Result<Self, RetrainError> {
         let hash = |name: &str| -> Result<FileHash, RetrainError> {
             Ok(FileHash { file: name.to_owned(), sha256: sha256(work.read_required(name)?) })
@@ -107,8 +107,8 @@ impl RetrainingReport {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             plan_sha256: plan.digest()?,
-            first: plan.first_name.clone(),
-            first_sha256: plan.first.digest(),
+            first: plan.initial_policy_name.clone(),
+            first_sha256: plan.initial_policy.digest(),
             retrained_sha256: hash(POLICY)?.sha256,
             space: plan.space.name().to_owned(),
             preset: plan.training.name.clone(),
@@ -117,9 +117,9 @@ impl RetrainingReport {
             settings: plan.settings,
             rounds,
             ending,
-            first_standing,
-            retrained_standing,
-            judged_draws: judged.corpus.avoidable,
+            first_results: first_standing,
+            retrained_results: retrained_standing,
+            test_draws: judged.corpus.avoidable,
             tallies: judged.tallies,
             pairs: judged.pairs,
             files,
@@ -133,9 +133,9 @@ impl RetrainingReport {
     }
 
     /// Writes it into its folder, with its picture.
-    pub(super) fn write_files(&self, work: &Work, picture: String) -> Result<(), RetrainError> {
-        let mut changes = work.changes();
-        changes.write(TEXT, self.to_markdown()).write(REPORT_SVG, picture).write(REPORT, self.to_json()?);
+    pub(super) fn write_files(&self, work: &RunFolder, picture: String) -> Result<(), RetrainError> {
+        let mut changes = work.transaction();
+        changes.write(REPORT_MARKDOWN, self.to_markdown()).write(REPORT_SVG, picture).write(REPORT_JSON, self.to_json()?);
         Ok(changes.commit()?)
     }
 
@@ -152,7 +152,7 @@ impl RetrainingReport {
     #[must_use]
     pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
-        Some(first.interval(self.judged_draws).lower / retrained.interval(self.judged_draws).upper)
+        Some(first.interval(self.test_draws).lower / retrained.interval(self.test_draws).upper)
     }
 
     /// The text of `report.md`.
@@ -165,7 +165,7 @@ impl RetrainingReport {
     }
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
-        let Settings { rounds, episodes, budget, draws, kept_aside, nominal, nominal_share, case_share, .. } =
+        let RetrainingSettings { rounds, episodes, budget, draws, validation_draws: kept_aside, nominal, nominal_share, case_share, .. } =
             self.settings;
         writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
@@ -179,7 +179,7 @@ impl RetrainingReport {
             100.0 * nominal_share,
             100.0 * case_share,
             self.method,
-            self.ended()
+            self.ending_sentence()
         )?;
         out.push_str("## Judged on draws that had no part in it\n\n");
         self.write_test_set(out)?;
@@ -205,7 +205,7 @@ impl RetrainingReport {
         let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
-            RetrainingEnding::RoundsSpent => format!("It ended with its last round: {made}."),
+            RetrainingEnding::RoundsExhausted => format!("It ended with its last round: {made}."),
             RetrainingEnding::NothingFound { search } => format!(
                 "It ended because a search of {} evaluations and {} draws found nothing that could have been avoided: {made}.",
                 search.evaluations, search.draws
@@ -214,7 +214,7 @@ impl RetrainingReport {
     }
 
     fn write_test_set(&self, out: &mut String) -> std::fmt::Result {
-        let runs = self.judged_draws;
+        let runs = self.test_draws;
         writeln!(
             out,
             "| controller | contacts in {runs} | into the leader | from behind | rate | exact {:.0} % interval |",
@@ -235,7 +235,7 @@ impl RetrainingReport {
                 100.0 * interval.upper
             )?;
         }
-        let Pairs { both, first_only, retrained_only, neither } = self.pairs;
+        let PairedOutcomes { both, first_only, retrained_only, neither } = self.pairs;
         writeln!(
             out,
             "\nOf the first policy's contacts {first_only} are fixed and {both} are left; {retrained_only} are new; {neither} draws \
@@ -252,7 +252,7 @@ impl RetrainingReport {
 
     /// What became of the first policy's failures in regression spaces.
     fn write_regression(&self, out: &mut String) -> std::fmt::Result {
-        if self.first_standing.regression.is_empty() {
+        if self.first_results.regression.is_empty() {
             return Ok(());
         }
         writeln!(
@@ -262,11 +262,11 @@ impl RetrainingReport {
              3 m/s² had a cause, or with the vehicle left behind; this counts where `idm` always is of use.\n\n\
              | space | draws | contacts | of no use |\n|---|---|---|---|"
         )?;
-        for (was, is) in self.first_standing.regression.iter().zip(&self.retrained_standing.regression) {
+        for (was, is) in self.first_results.regression.iter().zip(&self.retrained_results.regression) {
             let told = |was: &[u64], is: &[u64]| {
-                format!("{} (p = {:.2})", Change::between(was, is), discordant(was, is).p_value())
+                format!("{} (p = {:.2})", FailureChange::between(was, is), discordant_pairs(was, is).p_value())
             };
-            let drives = was.of_no_use.as_ref().zip(is.of_no_use.as_ref());
+            let drives = was.not_useful.as_ref().zip(is.not_useful.as_ref());
             writeln!(
                 out,
                 "| {} | {} | {} | {} |",
@@ -286,17 +286,17 @@ impl RetrainingReport {
              aside | paper-1..3 | paper's draws | acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
-            let RoundFindings { avoidable, unavoidable, undecided, draws_touched, draws_avoidable, .. } = &round.found;
+            let RoundFindings { avoidable, unavoidable, undecided, colliding_draws: draws_touched, avoidable_draws: draws_avoidable, .. } = &round.findings;
             writeln!(
                 out,
                 "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} | {} | {} |",
                 round.round,
                 avoidable + unavoidable + undecided,
                 draws_avoidable.indices.len(),
-                round.trained.to_episode,
-                round.trained.best_episode,
+                round.training.to_episode,
+                round.training.best_episode,
                 round.in_cases,
-                round.in_kept_aside,
+                round.in_validation_set,
                 round.in_paper,
                 round.in_nominal,
                 round.acceptance

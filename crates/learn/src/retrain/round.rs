@@ -4,19 +4,19 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::acceptance::{Acceptance, Change, RejectionReason, rule};
+use super::acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
 use super::cases::{Cases, CollidingDraws};
-use super::corpus::{Corpus, classes, drive};
-use super::files::{LEARNER, RECORD, SELECTION_SET, read_json, write_json};
+use super::corpus::{Corpus, classify_scenarios, first_contacts};
+use super::files::{LEARNER, ROUND_RECORD, SELECTION_SET, read_json, write_json};
 use super::test_set::witnesses;
 use super::plan::{RetrainingPlan, SELECTION_SEED};
 use super::progress::{RetrainingProgress, RetrainingObserver};
 use super::regression_spaces::RegressionSpaces;
-use super::{RetrainError, Standing};
+use super::{RetrainError, RegressionResults};
 use crate::rl::TrainingError;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_store::work::{Work, WorkError};
+use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{Scenario, ScenarioSpec, file};
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -92,29 +92,29 @@ pub struct Round {
     /// SHA-256 of the candidate; none if the training diverged.
     pub candidate_sha256: Option<String>,
     /// Contacts in all cases, before and after.
-    pub in_cases: Change,
+    pub in_cases: FailureChange,
     /// In draws kept aside.
     #[serde(rename = "in_kept_aside")]
-    pub in_validation_set: Change,
+    pub in_validation_set: FailureChange,
     /// In the paper's scenarios, through the filter and with the true state.
-    pub in_paper: Change,
+    pub in_paper: FailureChange,
     /// In draws of the paper's distribution.
-    pub in_nominal: Change,
+    pub in_nominal: FailureChange,
     /// The decision.
     pub acceptance: Acceptance,
     /// Where the candidate stands.
-    pub after: Standing,
+    pub after: RegressionResults,
 }
 
 /// What a round starts from.
 pub(super) struct RoundContext<'a> {
     pub(super) plan: &'a RetrainingPlan,
-    pub(super) run_folder: &'a Work,
+    pub(super) run_folder: &'a RunFolder,
     pub(super) validation_set: &'a Corpus,
     pub(super) selection_set: &'a Corpus,
     pub(super) regression_spaces: &'a RegressionSpaces,
     pub(super) policy: Arc<Policy>,
-    pub(super) results: Standing,
+    pub(super) results: RegressionResults,
     pub(super) cases: Cases,
     pub(super) previous_round: Option<&'a Round>,
 }
@@ -133,12 +133,12 @@ pub(super) fn round_path(round: u64, name: &str) -> String {
 
 impl Round {
     /// The candidate that was judged, and no other.
-    pub(super) fn candidate(&self, work: &Work) -> Result<Policy, RetrainError> {
-        let name = in_round(self.round, CANDIDATE);
+    pub(super) fn candidate(&self, work: &RunFolder) -> Result<Policy, RetrainError> {
+        let name = round_path(self.round, CANDIDATE);
         let candidate = Policy::from_bytes(&work.read_required(&name)?)?;
         if self.candidate_sha256.as_ref() != Some(&candidate.digest()) {
-            let problem = format!("not the policy that {RECORD} judges");
-            return Err(WorkError::Damaged { path: work.path(&name), problem }.into());
+            let problem = format!("not the policy that {ROUND_RECORD} judges");
+            return Err(RunFolderError::Damaged { path: work.path(&name), problem }.into());
         }
         Ok(candidate)
     }
@@ -146,22 +146,22 @@ impl Round {
 
 impl RoundContext<'_> {
     pub(super) fn round_number(&self) -> u64 {
-        self.last.map_or(1, |last| last.round + 1)
+        self.previous_round.map_or(1, |last| last.round + 1)
     }
 
     /// Where a file of this round is in the folder of the retraining.
     pub(super) fn path(&self, name: &str) -> String {
-        in_round(self.number(), name)
+        round_path(self.round_number(), name)
     }
 
     /// Searches for failures; all that was kept is in the result.
     pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
-        if let Some(found) = read_json(self.work, &self.name(FINDINGS))? {
+        if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
             return Ok(found);
         }
-        self.work.write(&self.name("before.safetensors"), self.policy.to_bytes()?)?;
-        let (plan, round) = (self.plan, self.number());
-        let folder = self.name(SEARCH);
+        self.run_folder.write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
+        let (plan, round) = (self.plan, self.round_number());
+        let folder = self.path(SEARCH);
         // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
         let name = "../../before.safetensors".to_owned();
         let campaign = Campaign {
@@ -174,18 +174,18 @@ impl RoundContext<'_> {
                 plan.space.clone(),
             )
         };
-        let path = self.work.path(&folder);
+        let path = self.run_folder.path(&folder);
         let searching =
-            |state: &CampaignProgress| watch.observe(&RetrainingProgress::Searching { round, state: state.clone() });
+            |state: &CampaignProgress| watch.observe(&RetrainingProgress::Searching { round, progress: state.clone() });
         let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
         let summary = campaign.run(&path, options, &searching)?;
-        self.work.include(&folder)?;
+        self.run_folder.include(&folder)?;
         let classed = |class| summary.counterexamples.iter().filter(move |one| one.avoidability.class() == class);
         let [avoidable, unavoidable, undecided] =
             [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
                 .map(|class| classed(class).count());
         let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
-        let (draws_touched, draws_avoidable) = self.draws(watch)?;
+        let (draws_touched, draws_avoidable) = self.find_colliding_draws(watch)?;
         let found = RoundFindings {
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             failures: summary.methods.iter().map(|method| method.failures).sum(),
@@ -193,29 +193,29 @@ impl RoundContext<'_> {
             unavoidable,
             undecided,
             draws: plan.settings.draws,
-            draws_touched,
-            draws_avoidable,
+            colliding_draws: draws_touched,
+            avoidable_draws: draws_avoidable,
             counterexamples,
         };
-        write_json(self.work, &self.name(FINDINGS), &found)?;
+        write_json(self.run_folder, &self.path(FINDINGS), &found)?;
         Ok(found)
     }
 
     /// Draws that end in contact: how many, and which of them could have been avoided.
     fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
-        let (plan, round) = (self.plan, self.number());
+        let (plan, round) = (self.plan, self.round_number());
         let seed = plan.search_seed(round);
-        watch.notify(&RetrainingProgress::Drawing { round, draws: plan.settings.draws })?;
+        watch.notify(&RetrainingProgress::SimulatingDraws { round, draws: plan.settings.draws })?;
         let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let contacts = drive(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let contacts = first_contacts(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
         let touched = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
         let (indices, touched): (Vec<usize>, Vec<Scenario>) = touched.map(|(one, _)| one).unzip();
         let mut survived = vec![false; touched.len()];
         for witness in witnesses(&[]) {
-            let contacts = drive(&touched, &witness.kind, plan.estimator())?;
+            let contacts = first_contacts(&touched, &witness.kind, plan.estimator())?;
             survived.iter_mut().zip(contacts).for_each(|(survived, contact)| *survived |= contact.is_none());
         }
-        let classes = classes(&touched, &survived);
+        let classes = classify_scenarios(&touched, &survived);
         let avoidable = indices.into_iter().zip(classes).filter(|(_, class)| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
         Ok((touched.len(), CollidingDraws { round, seed, indices }))
@@ -223,7 +223,7 @@ impl RoundContext<'_> {
 
     /// The cases so far and those of this round.
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
-        let search = self.work.path(&self.name(SEARCH));
+        let search = self.run_folder.path(&self.path(SEARCH));
         let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
         let counterexamples: Vec<ScenarioSpec> = found
             .counterexamples
@@ -231,7 +231,7 @@ impl RoundContext<'_> {
             .map(read)
             .collect::<Result<_, _>>()
             .map_err(|error| RetrainError::Folder(error.to_string()))?;
-        self.cases.clone().extended(&self.plan.space, found.draws_avoidable.clone(), counterexamples)
+        self.cases.clone().with_round(&self.plan.space, found.avoidable_draws.clone(), counterexamples)
     }
 
     /// Trains on, judges and decides; leaves the record of the round behind.
@@ -240,64 +240,64 @@ impl RoundContext<'_> {
         let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
-                self.work.changes().remove(&self.name(LEARNER)).commit()?;
+                self.run_folder.transaction().remove(&self.path(LEARNER)).commit()?;
                 let (seed, from_episode) = self.learner_start();
                 let trained = RoundTraining { seed, from_episode, to_episode: 0, best_episode: 0, checkpoints: Vec::new() };
                 (trained, None, Some(diverged.to_string()))
             }
             Err(other) => return Err(other),
         };
-        watch.notify(&RetrainingProgress::Judging { round: self.number() })?;
+        watch.notify(&RetrainingProgress::Evaluating { round: self.round_number() })?;
         let after = match &candidate {
-            Some(candidate) => Standing::of(candidate, self.plan, self.kept_aside, self.regression)?,
-            None => self.standing.clone(),
+            Some(candidate) => RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression_spaces)?,
+            None => self.results.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
         let acceptance = match problem {
             Some(problem) => Acceptance::Rejected { objections: vec![RejectionReason::Diverged { problem }] },
             None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
-            None => rule(&self.standing, &after),
+            None => decide_acceptance(&self.results, &after),
         };
         let touched = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
-            let contacts = drive(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
+            let contacts = first_contacts(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
             Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
         };
         let round = Round {
-            round: self.number(),
+            round: self.round_number(),
             before_sha256: self.policy.digest(),
-            found,
+            findings: found,
             cases: scenarios.len(),
-            trained,
+            training: trained,
             candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
-            in_cases: Change::between(&touched(&self.policy)?, &touched(candidate.as_ref().unwrap_or(&self.policy))?),
-            in_kept_aside: Change::between(&self.standing.kept_aside, &after.kept_aside),
-            in_paper: Change::between(&self.standing.paper, &after.paper),
-            in_nominal: Change::between(&self.standing.nominal, &after.nominal),
+            in_cases: FailureChange::between(&touched(&self.policy)?, &touched(candidate.as_ref().unwrap_or(&self.policy))?),
+            in_validation_set: FailureChange::between(&self.results.validation_set, &after.validation_set),
+            in_paper: FailureChange::between(&self.results.paper, &after.paper),
+            in_nominal: FailureChange::between(&self.results.nominal, &after.nominal),
             acceptance,
             after,
         };
         if let Some(candidate) = &candidate {
-            self.work.write(&self.name(CANDIDATE), candidate.to_bytes()?)?;
+            self.run_folder.write(&self.path(CANDIDATE), candidate.to_bytes()?)?;
         }
-        write_json(self.work, &self.name(RECORD), &round)?;
+        write_json(self.run_folder, &self.path(ROUND_RECORD), &round)?;
         Ok(round)
     }
 }
 
 /// The avoidable draws that select checkpoints.
-pub(super) fn load_selection_set(plan: &RetrainingPlan, work: &Work, watch: &RetrainingObserver<'_>) -> Result<Corpus, RetrainError> {
-    gathered(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
+pub(super) fn load_selection_set(plan: &RetrainingPlan, work: &RunFolder, watch: &RetrainingObserver<'_>) -> Result<Corpus, RetrainError> {
+    load_corpus(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
 }
 
 /// A corpus of the plan in its file.
 pub(super) fn load_corpus(
     plan: &RetrainingPlan,
-    work: &Work,
+    work: &RunFolder,
     (name, seed, wanted): (&'static str, u64, u64),
     watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
     let first =
-        NamedController { name: plan.first_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.first)) };
+        NamedController { name: plan.initial_policy_name.clone(), kind: ControllerKind::Policy(Arc::clone(&plan.initial_policy)) };
     let witnesses = witnesses(&[first]);
-    Corpus::at((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
+    Corpus::load_or_build((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
 }

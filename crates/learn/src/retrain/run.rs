@@ -5,17 +5,17 @@ use std::sync::Arc;
 
 use super::cases::Cases;
 use super::files::{
-    CHECKPOINTS, TEST_SET, VALIDATION_SET, LEARNER, PLAN, POLICY, RECORD, REPORT, TRAINING_CASES, read_json, write_json,
+    CHECKPOINTS, TEST_SET, VALIDATION_SET, LEARNER, PLAN, POLICY, ROUND_RECORD, REPORT_JSON, TRAINING_CASES, read_json, write_json,
 };
-use super::test_set::{Judged, witnesses};
+use super::test_set::{TestSetResults, witnesses};
 use super::plan::{VALIDATION_SET_SEED, RetrainingPlan};
 use super::progress::RetrainingProgress;
 use super::regression_spaces::RegressionSpaces;
-use super::report::{Ending, Report};
-use super::round::{Round, RoundContext, RoundFindings, gathered, in_round, selection};
-use super::{RetrainError, Standing};
+use super::report::{RetrainingEnding, RetrainingReport};
+use super::round::{Round, RoundContext, RoundFindings, load_corpus, round_path, load_selection_set};
+use super::{RetrainError, RegressionResults};
 use crumple_core::observer::Observer;
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
 use crumple_world::sim::{ControllerKind, NamedController};
 
@@ -33,66 +33,66 @@ impl RetrainingPlan {
         folder: &Path,
         resume: bool,
         watch: &dyn Observer<RetrainingProgress>,
-    ) -> Result<Report, RetrainError> {
-        self.check()?;
-        let work = self.work(folder, resume)?;
+    ) -> Result<RetrainingReport, RetrainError> {
+        self.check_policy()?;
+        let work = self.open_run_folder(folder, resume)?;
         if work.is_complete() {
-            let report = read_json(&work, REPORT)?;
-            return report.ok_or_else(|| WorkError::missing(&work.path(REPORT)).into());
+            let report = read_json(&work, REPORT_JSON)?;
+            return report.ok_or_else(|| RunFolderError::missing(&work.path(REPORT_JSON)).into());
         }
         work.write(PLAN, self.to_toml()?)?;
-        let wanted = self.settings.kept_aside;
-        let kept_aside = gathered(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
-        let selection = selection(self, &work, watch)?;
-        let mut policy = Arc::clone(&self.first);
+        let wanted = self.settings.validation_draws;
+        let kept_aside = load_corpus(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
+        let selection = load_selection_set(self, &work, watch)?;
+        let mut policy = Arc::clone(&self.initial_policy);
         let regression = RegressionSpaces::new(self)?;
-        let first = Standing::of(&policy, self, &kept_aside, &regression)?;
+        let first = RegressionResults::evaluate(&policy, self, &kept_aside, &regression)?;
         let mut standing = first.clone();
-        let mut cases = Cases::none(&self.space)?;
+        let mut cases = Cases::empty(&self.space)?;
         let mut rounds: Vec<Round> = Vec::new();
         let ending = loop {
             if rounds.len() as u64 == self.settings.rounds {
-                break Ending::RoundsSpent;
+                break RetrainingEnding::RoundsExhausted;
             }
             let before = RoundContext {
                 plan: self,
-                work: &work,
-                kept_aside: &kept_aside,
-                selection: &selection,
-                regression: &regression,
+                run_folder: &work,
+                validation_set: &kept_aside,
+                selection_set: &selection,
+                regression_spaces: &regression,
                 policy: Arc::clone(&policy),
-                standing: standing.clone(),
+                results: standing.clone(),
                 cases: cases.clone(),
-                last: rounds.last(),
+                previous_round: rounds.last(),
             };
             let found = before.search(watch)?;
-            if found.is_nothing() {
-                break Ending::NothingFound { search: Box::new(found) };
+            if found.is_empty() {
+                break RetrainingEnding::NothingFound { search: Box::new(found) };
             }
             cases = before.extended_cases(&found)?;
             let number = rounds.len() as u64 + 1;
-            let round: Round = match read_json(&work, &before.name(RECORD))? {
+            let round: Round = match read_json(&work, &before.path(ROUND_RECORD))? {
                 Some(round) => round,
                 None => before.finish(found, &cases, watch)?,
             };
-            work.changes().remove(&in_round(number, CHECKPOINTS)).remove(&in_round(number - 1, LEARNER)).commit()?;
+            work.transaction().remove(&round_path(number, CHECKPOINTS)).remove(&round_path(number - 1, LEARNER)).commit()?;
             if round.acceptance.is_accepted() {
                 policy = Arc::new(round.candidate(&work)?);
                 standing = round.after.clone();
             }
             rounds.push(round);
         };
-        let last = in_round(rounds.len() as u64, LEARNER);
-        work.changes().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
+        let last = round_path(rounds.len() as u64, LEARNER);
+        work.transaction().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
         write_json(&work, TRAINING_CASES, &cases)?;
         let contender = |name: &str, policy: &Arc<Policy>| NamedController {
             name: name.to_owned(),
             kind: ControllerKind::Policy(Arc::clone(policy)),
         };
-        let contenders = witnesses(&[contender(&self.first_name, &self.first), contender(RETRAINED, &policy)]);
-        let judged = Judged::at((&work, TEST_SET), self, &contenders, watch)?;
-        let report = Report::new(self, &work, (first, standing), rounds, ending, judged)?;
-        report.write(&work, (self.picture)(&report))?;
+        let contenders = witnesses(&[contender(&self.initial_policy_name, &self.initial_policy), contender(RETRAINED_NAME, &policy)]);
+        let judged = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
+        let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, judged)?;
+        report.write_files(&work, (self.render_svg)(&report))?;
         work.finish()?;
         Ok(report)
     }
@@ -100,6 +100,6 @@ impl RetrainingPlan {
 
 impl RoundFindings {
     fn is_empty(&self) -> bool {
-        self.avoidable == 0 && self.draws_avoidable.indices.is_empty()
+        self.avoidable == 0 && self.avoidable_draws.indices.is_empty()
     }
 }

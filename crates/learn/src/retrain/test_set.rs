@@ -10,7 +10,7 @@ use super::files::{read_json, write_json};
 use super::plan::{TEST_SET_SEED, RetrainingPlan};
 use super::progress::{RetrainingProgress, RetrainingObserver};
 use crumple_evidence::RateInterval;
-use crumple_store::work::Work;
+use crumple_store::run_folder::RunFolder;
 use crumple_world::sim::{Contact, NamedController};
 
 /// Confidence of the intervals in reports.
@@ -60,7 +60,7 @@ impl ControllerTally {
     /// The exact interval of its collision rate over `runs` draws.
     #[must_use]
     pub fn interval(&self, runs: u64) -> RateInterval {
-        RateInterval::exact(self.contacts, runs, CONFIDENCE)
+        RateInterval::clopper_pearson(self.contacts, runs, CONFIDENCE)
     }
 }
 
@@ -76,29 +76,29 @@ pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
 impl TestSetResults {
     /// The judgement in a file, made first if it is not there or not complete. The first two contenders are compared.
     pub(super) fn load_or_evaluate(
-        (work, name): (&Work, &'static str),
+        (work, name): (&RunFolder, &'static str),
         plan: &RetrainingPlan,
         contenders: &[NamedController],
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
-        let (space, wanted) = (&plan.space, plan.settings.judged);
+        let (space, wanted) = (&plan.space, plan.settings.test_draws);
         let mut judged = match read_json(work, name)? {
             Some(judged) => judged,
             None => Self {
-                corpus: Corpus::begin(space, TEST_SET_SEED)?,
-                tallies: contenders.iter().map(ControllerTally::of).collect(),
+                corpus: Corpus::empty(space, TEST_SET_SEED)?,
+                tallies: contenders.iter().map(ControllerTally::new).collect(),
                 pairs: PairedOutcomes::default(),
             },
         };
         while judged.corpus.scenarios_sha256.is_empty() {
             let Self { corpus, tallies, pairs } = &mut judged;
-            watch.notify(&RetrainingProgress::Gathering { what: name, done: corpus.avoidable, wanted })?;
+            watch.notify(&RetrainingProgress::Gathering { file: name, done: corpus.avoidable, wanted })?;
             if corpus.avoidable < wanted {
                 let count = |contacts: &[Option<Contact>]| {
                     tallies.iter_mut().zip(contacts).for_each(|(tally, contact)| tally.add(contact.as_ref()));
                     pairs.add(contacts);
                 };
-                corpus.grow(space, wanted, contenders, plan.estimator(), count)?;
+                corpus.classify_next(space, wanted, contenders, plan.estimator(), count)?;
             } else {
                 corpus.seal(space)?;
             }

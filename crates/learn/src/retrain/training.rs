@@ -6,27 +6,27 @@ use super::RetrainError;
 use super::cases::Cases;
 use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
 use super::progress::{RetrainingProgress, RetrainingObserver};
-use super::round::{Checkpoint, RoundContext, Trained, in_round};
+use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
 use crate::rl::{
-    Blend, Event, EvaluationSet, Mixed, PaperSource, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_recorded,
+    SourceMixture, TrainingEvent, EvaluationSet, CaseMixture, PaperSource, ScenarioSource, Trainer, TrainingError, TrainingRecorder, train_with_recorder,
 };
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
 
 impl RoundContext<'_> {
     /// Seed of the learner and the episodes it has done: one that diverged is followed by another.
     pub(super) fn learner_start(&self) -> (u64, u64) {
-        match self.last {
-            Some(last) if last.trained.to_episode > 0 => (last.trained.seed, last.trained.to_episode),
-            _ => (self.plan.training_seed(self.number()), 0),
+        match self.previous_round {
+            Some(last) if last.training.to_episode > 0 => (last.training.seed, last.training.to_episode),
+            _ => (self.plan.training_seed(self.round_number()), 0),
         }
     }
 
     /// What a round draws its episodes from.
     fn scenario_source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
         let (space, settings) = (&self.plan.space, &self.plan.settings);
-        let mixed = Mixed::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
-        Ok(Arc::new(Blend::new(Arc::new(PaperSource), settings.nominal_share, Arc::new(mixed))))
+        let mixed = CaseMixture::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
+        Ok(Arc::new(SourceMixture::new(Arc::new(PaperSource), settings.nominal_share, Arc::new(mixed))))
     }
 
     /// The learner as it goes into the round, or as it was when it was interrupted.
@@ -34,39 +34,39 @@ impl RoundContext<'_> {
         let (seed, from_episode) = self.learner_start();
         let episodes = from_episode + self.plan.settings.episodes;
         let config = self.plan.training_until(episodes);
-        let source = self.source(cases)?;
+        let source = self.scenario_source(cases)?;
         let taken_up = |name: &str, bytes: &[u8], source| {
-            let path = self.work.path(name);
-            let named = |error: TrainingError| WorkError::Damaged { path, problem: error.to_string() };
+            let path = self.run_folder.path(name);
+            let named = |error: TrainingError| RunFolderError::Damaged { path, problem: error.to_string() };
             Trainer::from_checkpoint(bytes, &config, seed, source).map_err(named)
         };
-        let name = self.name(LEARNER);
-        if let Some(bytes) = self.work.read(&name)? {
+        let name = self.path(LEARNER);
+        if let Some(bytes) = self.run_folder.read(&name)? {
             return Ok((taken_up(&name, &bytes, source)?, from_episode));
         }
-        let Some(last) = self.last.filter(|_| from_episode > 0) else {
+        let Some(last) = self.previous_round.filter(|_| from_episode > 0) else {
             return Ok((Trainer::with_source(&config, seed, source).with_initial_policy(&self.policy), from_episode));
         };
-        let name = in_round(last.round, LEARNER);
-        let mut trainer = taken_up(&name, &self.work.read_required(&name)?, self.source(&self.cases)?)?;
+        let name = round_path(last.round, LEARNER);
+        let mut trainer = taken_up(&name, &self.run_folder.read_required(&name)?, self.scenario_source(&self.cases)?)?;
         if trainer.episode() != from_episode {
             let problem = format!("of episode {}, and its round ended with {from_episode}", trainer.episode());
-            return Err(WorkError::Damaged { path: self.work.path(&name), problem }.into());
+            return Err(RunFolderError::Damaged { path: self.run_folder.path(&name), problem }.into());
         }
-        trainer.turn_to(source, episodes);
+        trainer.switch_source(source, episodes);
         Ok((trainer, from_episode))
     }
 
-    pub(super) fn train(&self, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<(Trained, Policy), RetrainError> {
-        let (mut trainer, from_episode) = self.learner(cases)?;
+    pub(super) fn train(&self, cases: &Cases, watch: &RetrainingObserver<'_>) -> Result<(RoundTraining, Policy), RetrainError> {
+        let (mut trainer, from_episode) = self.load_learner(cases)?;
         let environment = &self.plan.training.environment;
-        let selection = self.selection.scenarios(&self.plan.space)?;
+        let selection = self.selection_set.scenarios(&self.plan.space)?;
         let held_out = EvaluationSet::new(&self.plan.training.evaluation, environment).with_ranking(selection);
-        let mut checkpoints: Vec<Checkpoint> = read_json(self.work, &self.name(CHECKPOINTS))?.unwrap_or_default();
+        let mut checkpoints: Vec<Checkpoint> = read_json(self.run_folder, &self.path(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
-        let mut scribe = CheckpointWriter { before: self, from_episode, checkpoints, watch };
-        train_recorded::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
-        let trained = Trained {
+        let mut scribe = CheckpointWriter { context: self, from_episode, checkpoints, observer: watch };
+        train_with_recorder::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
+        let trained = RoundTraining {
             seed: trainer.seed(),
             from_episode,
             to_episode: trainer.episode(),
@@ -86,16 +86,16 @@ struct CheckpointWriter<'a, 'b, 'c> {
 }
 
 impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
-    fn record(&mut self, event: &Event) -> Result<(), RetrainError> {
+    fn record(&mut self, event: &TrainingEvent) -> Result<(), RetrainError> {
         match event {
-            Event::Evaluation { episode, result, .. } => {
+            TrainingEvent::Evaluation { episode, result, .. } => {
                 self.checkpoints.push(Checkpoint { episode: *episode, contacts: result.ranking_contacts });
             }
-            Event::Episode(record) => self.watch.notify(&RetrainingProgress::Training {
-                round: self.before.number(),
+            TrainingEvent::Episode(record) => self.observer.notify(&RetrainingProgress::Training {
+                round: self.context.round_number(),
                 episode: record.episode - self.from_episode,
-                episodes: self.before.plan.settings.episodes,
-                fewest: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
+                episodes: self.context.plan.settings.episodes,
+                fewest_contacts: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
             })?,
         }
         Ok(())
@@ -103,9 +103,9 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
         // The learner last: what the list has beyond it is cut off.
-        let before = self.before;
-        let (lists, learner) = (before.name(CHECKPOINTS), before.name(LEARNER));
+        let before = self.context;
+        let (lists, learner) = (before.path(CHECKPOINTS), before.path(LEARNER));
         let checkpoints = to_json(&self.checkpoints)?;
-        Ok(before.work.changes().write(&lists, checkpoints).write(&learner, trainer.to_checkpoint()?).commit()?)
+        Ok(before.run_folder.transaction().write(&lists, checkpoints).write(&learner, trainer.to_checkpoint()?).commit()?)
     }
 }

@@ -20,7 +20,7 @@ impl Adam {
     /// No moments yet, for so many parameters.
     #[must_use]
     pub fn new(parameters: usize) -> Self {
-        Self { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
+        Self { first_moment: vec![0.0; parameters], second_moment: vec![0.0; parameters], steps: 0 }
     }
 
     /// One step down the gradient.
@@ -31,7 +31,7 @@ impl Adam {
         // Not `powi`, whose rounding differs between platforms.
         let unbias = |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
         let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
-        let (first, second) = (self.first.as_mut_slice(), self.second.as_mut_slice());
+        let (first, second) = (self.first_moment.as_mut_slice(), self.second_moment.as_mut_slice());
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
         Arch::new().dispatch(SimdClosure(
             #[inline(always)]

@@ -5,7 +5,7 @@
 
 use pulp::Arch;
 
-use crumple_world::policy::{SimdClosure, Left, Network, PackedPanels, Right, multiply_vector};
+use crumple_world::policy::{SimdClosure, Lhs, Network, PackedPanels, Rhs, multiply_vector};
 
 /// What a forward pass leaves for the backward pass, and working space for both.
 #[derive(Debug, Clone, Default)]
@@ -22,31 +22,31 @@ impl Tape {
     pub(crate) fn forward(&mut self, network: &Network, batch: usize, fill: impl FnOnce(&mut Vec<f32>)) -> &[f32] {
         let layers = network.layers();
         let count = layers.len();
-        self.values.resize_with(count + 1, Vec::new);
-        self.values[0].clear();
-        fill(&mut self.values[0]);
+        self.activations.resize_with(count + 1, Vec::new);
+        self.activations[0].clear();
+        fill(&mut self.activations[0]);
         for (index, layer) in layers.enumerate() {
-            let (before, after) = self.values.split_at_mut(index + 1);
+            let (before, after) = self.activations.split_at_mut(index + 1);
             let out = &mut after[0];
             out.resize(batch * layer.outputs, 0.0);
             network.layer_forward(layer, index + 1 < count, &before[index], batch, out, &mut self.panels);
         }
-        &self.values[count]
+        &self.activations[count]
     }
 
     /// The output of the last forward pass.
     pub(crate) fn output(&self) -> &[f32] {
-        self.values.last().map_or(&[], Vec::as_slice)
+        self.activations.last().map_or(&[], Vec::as_slice)
     }
 
     /// Gradients of all parameters, given ∂L/∂output of the last forward pass.
     pub(crate) fn backward(&mut self, network: &Network, output_gradient: &[f32], gradients: &mut [f32]) {
-        self.descend(network, output_gradient, Some(gradients));
+        self.backpropagate(network, output_gradient, Some(gradients));
     }
 
     /// ∂L/∂(last input) of every row, given ∂L/∂output of the last forward pass.
     pub(crate) fn backward_to_last_input(&mut self, network: &Network, output_gradient: &[f32], out: &mut [f32]) {
-        self.descend(network, output_gradient, None);
+        self.backpropagate(network, output_gradient, None);
         if let Some(first) = network.layers().next() {
             let weights = &network.parameters()[first.weights()];
             multiply_vector(&self.delta, &weights[(first.inputs - 1) * first.outputs..], 0.0, out);
@@ -55,7 +55,7 @@ impl Tape {
 
     /// Takes δ from the output down to the first layer's outputs.
     fn backpropagate(&mut self, network: &Network, output_gradient: &[f32], mut gradients: Option<&mut [f32]>) {
-        let Self { values, delta, below, panels } = self;
+        let Self { activations: values, delta, delta_below: below, panels } = self;
         delta.clear();
         delta.extend_from_slice(output_gradient);
         for (index, layer) in network.layers().enumerate().rev() {
@@ -66,8 +66,8 @@ impl Tape {
                 if n == 1 {
                     weighted_row_sum(input, delta, &mut gradients[layer.weights()]);
                 } else {
-                    panels.pack_parallel(Right::Rows(delta), None, [batch, n]);
-                    panels.multiply_parallel(Left::Columns(input), m, false, &mut gradients[layer.weights()]);
+                    panels.pack_parallel(Rhs::Rows(delta), None, [batch, n]);
+                    panels.multiply_parallel(Lhs::Columns(input), m, false, &mut gradients[layer.weights()]);
                 }
                 row_sum(delta, &mut gradients[layer.biases()]);
             }
@@ -77,8 +77,8 @@ impl Tape {
                 if n == 1 {
                     outer_product_relu_backward(delta, weights, input, below);
                 } else {
-                    panels.pack_parallel(Right::Columns(weights), None, [n, m]);
-                    panels.multiply_parallel(Left::Rows(delta), batch, false, below);
+                    panels.pack_parallel(Rhs::Columns(weights), None, [n, m]);
+                    panels.multiply_parallel(Lhs::Rows(delta), batch, false, below);
                     relu_backward(input, below);
                 }
                 std::mem::swap(delta, below);

@@ -9,11 +9,11 @@ use safetensors::tensor::{Dtype, View};
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
-use super::evaluation::Evaluation;
-use super::learner::Trained;
-use super::replay::Replay;
+use super::evaluation::PolicyEvaluation;
+use super::learner::TrainableNetwork;
+use super::replay::ReplayBuffer;
 use super::source::ScenarioSource;
-use super::trainer::{Best, Trainer, TrainingError};
+use super::trainer::{BestPolicy, Trainer, TrainingError};
 use crumple_core::digest::Sha256;
 use crumple_store::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_world::policy::Network;
@@ -38,7 +38,7 @@ struct CheckpointHeader {
     updates: u64,
     adam_steps: Vec<u64>,
     stored: u64,
-    best: Option<(u64, Evaluation)>,
+    best: Option<(u64, PolicyEvaluation)>,
     mastered: bool,
 }
 
@@ -47,7 +47,7 @@ const VERSION: u32 = 3;
 impl CheckpointHeader {
     fn digest<'a, B: AsRef<[u8]>>(&self, arrays: impl Iterator<Item = (&'a str, B)>) -> Result<String, TrainingError> {
         let mut digest = Sha256::default();
-        digest.update(serde_json::to_string(self).map_err(broken)?);
+        digest.update(serde_json::to_string(self).map_err(checkpoint_error)?);
         for (name, bytes) in arrays {
             let bytes = bytes.as_ref();
             digest.update(name);
@@ -88,10 +88,10 @@ impl View for Array<'_> {
 
 /// Refuses what another build wrote, whatever else its header says.
 fn check_build(text: &str) -> Result<(), TrainingError> {
-    let header: serde_json::Value = serde_json::from_str(text).map_err(broken)?;
+    let header: serde_json::Value = serde_json::from_str(text).map_err(checkpoint_error)?;
     let field = |name| header.get(name).cloned().unwrap_or_default();
     if field("version") != VERSION || field("program") != program::identity()? {
-        return Err(broken(OTHER_BUILD_MESSAGE));
+        return Err(checkpoint_error(OTHER_BUILD_MESSAGE));
     }
     Ok(())
 }
@@ -117,23 +117,23 @@ impl Trainer {
             episode: self.episode,
             decisions: self.decisions,
             updates: self.learner.updates,
-            adam_steps: self.parts().map(|(_, part)| part.adam.steps).collect(),
+            adam_steps: self.named_networks().map(|(_, part)| part.adam.steps).collect(),
             stored,
             best: self.best.as_ref().map(|best| (best.episode, best.evaluation)),
             mastered: self.mastered,
         };
         let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), replay)];
-        for (name, part) in self.parts() {
+        for (name, part) in self.named_networks() {
             for (what, values) in [
                 ("network", part.network.parameters()),
                 ("target", part.target.parameters()),
-                ("first", &part.adam.first),
-                ("second", &part.adam.second),
+                ("first", &part.adam.first_moment),
+                ("second", &part.adam.second_moment),
             ] {
                 arrays.push((format!("{name}.{what}"), values));
             }
         }
-        if let Some(mean) = &self.mean {
+        if let Some(mean) = &self.weight_average {
             arrays.push(("mean".to_owned(), mean.parameters()));
         }
         if let Some(best) = &self.best {
@@ -143,8 +143,8 @@ impl Trainer {
             arrays.into_iter().map(|(name, values)| (name, Array { shape: [values.len()], values })).collect();
         arrays.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
         header.sha256 = header.digest(arrays.iter().map(|(name, array)| (name.as_str(), array.data())))?;
-        let text = serde_json::to_string(&header).map_err(broken)?;
-        safetensors::serialize(arrays, Some([(KEY.to_owned(), text)].into())).map_err(broken)
+        let text = serde_json::to_string(&header).map_err(checkpoint_error)?;
+        safetensors::serialize(arrays, Some([(METADATA_KEY.to_owned(), text)].into())).map_err(checkpoint_error)
     }
 
     /// Reads the training on scenarios of `source` that [`Trainer::to_checkpoint`] wrote. It must be one of `config` and `seed`; only the
@@ -158,92 +158,92 @@ impl Trainer {
         seed: u64,
         source: Arc<dyn ScenarioSource>,
     ) -> Result<Self, TrainingError> {
-        let (_, container) = SafeTensors::read_metadata(bytes).map_err(broken)?;
-        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
-        let text = text.ok_or_else(|| broken("this is no checkpoint of a training"))?;
+        let (_, container) = SafeTensors::read_metadata(bytes).map_err(checkpoint_error)?;
+        let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
+        let text = text.ok_or_else(|| checkpoint_error("this is no checkpoint of a training"))?;
         check_build(text)?;
-        let mut header: CheckpointHeader = serde_json::from_str(text).map_err(broken)?;
-        let arrays = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let mut header: CheckpointHeader = serde_json::from_str(text).map_err(checkpoint_error)?;
+        let arrays = SafeTensors::deserialize(bytes).map_err(checkpoint_error)?;
         let written = std::mem::take(&mut header.sha256);
         let mut found: Vec<_> = arrays.iter().map(|(name, view)| (name, view.data())).collect();
         found.sort_unstable_by_key(|(name, _)| *name);
         if header.digest(found.into_iter())? != written {
-            return Err(broken("its content does not match its SHA-256: it is corrupt"));
+            return Err(checkpoint_error("its content does not match its SHA-256: it is corrupt"));
         }
         if header.seed != seed {
-            return Err(broken(format!("it is of seed {}, not {seed}", header.seed)));
+            return Err(checkpoint_error(format!("it is of seed {}, not {seed}", header.seed)));
         }
         if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
-            return Err(broken("it is of another configuration: only the number of episodes may differ"));
+            return Err(checkpoint_error("it is of another configuration: only the number of episodes may differ"));
         }
         let asked = source.identity()?;
         if header.scenarios != asked {
             let name = |source: Option<String>| source.unwrap_or_else(|| "the paper's distribution".to_owned());
             let (found, asked) = (name(header.scenarios), name(asked));
-            return Err(broken(format!("it is of a training on {found}, not on {asked}")));
+            return Err(checkpoint_error(format!("it is of a training on {found}, not on {asked}")));
         }
         if header.episode > config.episodes {
             let (done, asked) = (header.episode, config.episodes);
-            return Err(broken(format!("{done} episodes are done already, more than the {asked} asked for")));
+            return Err(checkpoint_error(format!("{done} episodes are done already, more than the {asked} asked for")));
         }
         let mut trainer = Self::with_source(config, seed, source);
         let mut adam_steps = header.adam_steps.into_iter();
         for (name, part) in trainer.named_networks_mut() {
-            read(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
-            read(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
-            read(&arrays, &format!("{name}.first"), &mut part.adam.first)?;
-            read(&arrays, &format!("{name}.second"), &mut part.adam.second)?;
-            part.adam.steps = adam_steps.next().ok_or_else(|| broken("an optimiser is missing"))?;
+            read_tensor_into(&arrays, &format!("{name}.network"), part.network.parameters_mut())?;
+            read_tensor_into(&arrays, &format!("{name}.target"), part.target.parameters_mut())?;
+            read_tensor_into(&arrays, &format!("{name}.first"), &mut part.adam.first_moment)?;
+            read_tensor_into(&arrays, &format!("{name}.second"), &mut part.adam.second_moment)?;
+            part.adam.steps = adam_steps.next().ok_or_else(|| checkpoint_error("an optimiser is missing"))?;
         }
-        let replay = numbers(&arrays, "replay")?;
-        trainer.replay = Replay::from_numbers(config.replay.capacity, config.remembered(), header.stored, replay)
-            .ok_or_else(|| broken("the replay memory has another size than the header says"))?;
+        let replay = read_tensor(&arrays, "replay")?;
+        trainer.replay = ReplayBuffer::from_raw_parts(config.replay.capacity, config.transition_layout(), header.stored, replay)
+            .ok_or_else(|| checkpoint_error("the replay memory has another size than the header says"))?;
         let sizes = trainer.learner.actor.network.sizes().to_vec();
         let actor_of = |name| {
             let mut network = Network::zeros(&sizes);
-            read(&arrays, name, network.parameters_mut()).map(|()| network)
+            read_tensor_into(&arrays, name, network.parameters_mut()).map(|()| network)
         };
-        if config.evaluation.mean_over_updates > 0 && header.updates > 0 {
-            trainer.mean = Some(actor_of("mean")?);
+        if config.evaluation.weight_average_updates > 0 && header.updates > 0 {
+            trainer.weight_average = Some(actor_of("mean")?);
         }
         if let Some((episode, evaluation)) = header.best {
             let network = actor_of("best")?;
-            trainer.best = Some(Best { episode, evaluation, network });
+            trainer.best = Some(BestPolicy { episode, evaluation, network });
         }
         (trainer.episode, trainer.decisions) = (header.episode, header.decisions);
         (trainer.learner.updates, trainer.mastered) = (header.updates, header.mastered);
         Ok(trainer)
     }
 
-    fn named_networks(&self) -> impl Iterator<Item = (String, &Trained)> {
+    fn named_networks(&self) -> impl Iterator<Item = (String, &TrainableNetwork)> {
         let critics = self.learner.critics.iter().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &self.learner.actor)).chain(critics)
     }
 
-    fn named_networks_mut(&mut self) -> impl Iterator<Item = (String, &mut Trained)> {
+    fn named_networks_mut(&mut self) -> impl Iterator<Item = (String, &mut TrainableNetwork)> {
         let critics = self.learner.critics.iter_mut().enumerate().map(|(i, critic)| (format!("critic-{i}"), critic));
         std::iter::once(("actor".to_owned(), &mut self.learner.actor)).chain(critics)
     }
 }
 
 fn read_tensor(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, TrainingError> {
-    let view = arrays.tensor(name).map_err(broken)?;
+    let view = arrays.tensor(name).map_err(checkpoint_error)?;
     if view.dtype() != Dtype::F32 {
-        return Err(broken(format!("`{name}` must be F32, found {:?}", view.dtype())));
+        return Err(checkpoint_error(format!("`{name}` must be F32, found {:?}", view.dtype())));
     }
     let (values, _) = view.data().as_chunks::<4>();
     let values: Vec<f32> = values.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
     if values.iter().all(|value| value.is_finite()) {
         Ok(values)
     } else {
-        Err(broken(format!("`{name}` holds a number that is not finite")))
+        Err(checkpoint_error(format!("`{name}` holds a number that is not finite")))
     }
 }
 
 fn read_tensor_into(arrays: &SafeTensors<'_>, name: &str, out: &mut [f32]) -> Result<(), TrainingError> {
-    let values = numbers(arrays, name)?;
+    let values = read_tensor(arrays, name)?;
     if values.len() != out.len() {
-        return Err(broken(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));
+        return Err(checkpoint_error(format!("`{name}` must hold {} numbers, found {}", out.len(), values.len())));
     }
     out.copy_from_slice(&values);
     Ok(())

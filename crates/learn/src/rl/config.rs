@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::space_mixture::{self, SpaceShare};
-use super::config_error::ConfigError;
+use super::space_mixture::{self, TrainingSpace};
+use super::config_error::TrainingConfigError;
 use super::costs::CostConfig;
 use super::observation::ObservationConfig;
-use super::replay::Remembered;
-use super::f32_serde::single;
+use super::replay::TransitionLayout;
+use super::f32_serde::deserialize_f32_no_underflow;
 use super::source::ScenarioSource;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::Departure;
+use crumple_world::policy::ResidualControl;
 use crumple_world::scenario::file;
 
 /// Version of the preset format this release reads.
@@ -55,7 +55,7 @@ pub struct TrainingConfig {
     pub evaluation: EvaluationConfig,
     /// Spaces that episodes are drawn from; without any, the paper's distribution.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub spaces: Vec<SpaceShare>,
+    pub spaces: Vec<TrainingSpace>,
 }
 
 /// The Markov decision process (paper, section "Markov decision process").
@@ -82,7 +82,7 @@ pub struct EnvironmentConfig {
     /// The law that actions depart from; without one an action is the acceleration itself, between -7.5 m/s² and the highest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "departs_from")]
-    pub residual_over: Option<Departure>,
+    pub residual_over: Option<ResidualControl>,
     /// What a step costs beside; nothing in the paper. A policy file that was made without costs states none.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,
@@ -113,7 +113,7 @@ pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
     /// Output weights start uniform within plus and minus this; 0 for the fan-in bound that all other layers have.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub final_layer_bound: f32,
 }
 
@@ -124,15 +124,15 @@ pub struct NetworkConfig {
 #[non_exhaustive]
 pub struct LearningConfig {
     /// Adam's step size of the actor.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub actor_rate: f32,
     /// Adam's step size of the critic.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub critic_rate: f32,
     /// Discount a decision.
     pub discount: f64,
     /// Share of the new weights that the targets take on in an update.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     #[serde(rename = "soft_update")]
     pub tau: f32,
     /// Transitions in an update.
@@ -141,17 +141,17 @@ pub struct LearningConfig {
     pub decisions_per_update: u32,
     /// Whether critics know besides what no driver sees: friction, what brakes and delays there are, who drives behind, what the leader's
     /// script does next, and how many times costs count.
-    #[serde(default, skip_serializing_if = "is_not")]
+    #[serde(default, skip_serializing_if = "is_false")]
     pub privileged_critic: bool,
     /// Weight in the actor's loss of the mean of max(0, |z| - 1)², z being its output before the tanh: an actor that has
     /// saturated gets no gradient back through the tanh, and this leads it out again.
-    #[serde(deserialize_with = "single")]
-    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalties())))]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
+    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub saturation_penalty: f32,
     /// Weight in the actor's loss of the mean of (π(s) - π(s'))², s' being what is seen at the decision after s unless nothing follows: an actor whose answers
     /// come and go from one decision to the next pays for it, whatever its critics make of that (Mysore, Mabsout, Mancuso and Saenko 2021).
-    #[serde(default, skip_serializing_if = "is_nothing", deserialize_with = "single")]
-    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalties())))]
+    #[serde(default, skip_serializing_if = "is_zero_weight", deserialize_with = "deserialize_f32_no_underflow")]
+    #[cfg_attr(feature = "schema", schemars(extend("anyOf" = penalty_schema())))]
     pub smoothness_penalty: f32,
     /// How Adam's step sizes fall; without it they stay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -162,7 +162,7 @@ pub struct LearningConfig {
 impl LearningConfig {
     /// Numbers that critics know besides what the actor sees.
     pub(super) fn privileged_width(&self) -> usize {
-        if self.privileged_critic { PRIVILEGED } else { 0 }
+        if self.privileged_critic { PRIVILEGED_WIDTH } else { 0 }
     }
 }
 
@@ -208,7 +208,7 @@ impl LrDecay {
     pub(super) fn factor(&self, episode: u64, random_episodes: u64) -> f64 {
         let falling = self.until_episode.saturating_sub(random_episodes).max(1);
         let progress = episode.saturating_sub(random_episodes) as f64 / falling as f64;
-        1.0 + (self.to_share - 1.0) * progress.min(1.0)
+        1.0 + (self.final_factor - 1.0) * progress.min(1.0)
     }
 }
 
@@ -253,10 +253,10 @@ pub struct Td3Config {
     /// Critic updates for each update of the actor and the targets.
     pub actor_every: u32,
     /// Standard deviation of the noise on target actions; 0 for none.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub target_noise: f32,
     /// Cut of that noise.
-    #[serde(deserialize_with = "single")]
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub target_noise_limit: f32,
 }
 
@@ -310,7 +310,7 @@ impl TrainingConfig {
     ///
     /// # Errors
     /// [`ConfigError::Unknown`] for any other name.
-    pub fn preset(name: &str) -> Result<Self, ConfigError> {
+    pub fn preset(name: &str) -> Result<Self, TrainingConfigError> {
         Self::parse(Self::preset_text(name)?, Path::new(name))
     }
 
@@ -318,32 +318,32 @@ impl TrainingConfig {
     ///
     /// # Errors
     /// [`ConfigError::Unknown`] if there is none of that name.
-    pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
+    pub fn preset_text(name: &str) -> Result<&'static str, TrainingConfigError> {
         let known = PRESETS.iter().find(|(known, _)| *known == name);
-        known.map(|(_, text)| *text).ok_or_else(|| ConfigError::Unknown(name.to_owned()))
+        known.map(|(_, text)| *text).ok_or_else(|| TrainingConfigError::UnknownPreset(name.to_owned()))
     }
 
     /// A configuration from TOML; `path` only names it in errors.
     ///
     /// # Errors
     /// [`ConfigError::Text`], with line and field, if it does not parse or a field is out of range.
-    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let config: Self = file::parse_toml(text, path).map_err(|error| ConfigError::Text(error.to_string()))?;
+    pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
+        let config: Self = file::parse_toml(text, path).map_err(|error| TrainingConfigError::Located(error.to_string()))?;
         config.check().map_err(|error| error.with_location(text, path))?;
         Ok(config)
     }
 
     /// What is remembered of a decision.
-    pub(super) fn transition_layout(&self) -> Remembered {
-        Remembered { state: self.environment.observation.width(), privileged: self.learning.privileged() }
+    pub(super) fn transition_layout(&self) -> TransitionLayout {
+        TransitionLayout { state_width: self.environment.observation.width(), privileged_width: self.learning.privileged_width() }
     }
 
     /// What its episodes are drawn from.
     ///
     /// # Errors
     /// [`ConfigError`] if a space cannot be found, read, or trained on.
-    pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
-        space_mixture::source(&self.spaces)
+    pub fn scenario_source(&self) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
+        space_mixture::scenario_source(&self.spaces)
     }
 }
 

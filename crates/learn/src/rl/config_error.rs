@@ -41,7 +41,7 @@ impl TrainingConfigError {
     #[must_use]
     pub fn with_location(self, text: &str, path: &Path) -> Self {
         let (field, said) = match &self {
-            Self::Unknown(_) | Self::Text(_) => return self,
+            Self::UnknownPreset(_) | Self::Located(_) => return self,
             Self::Field { field, .. } => (field, self.to_string()),
             Self::Range { field, low, high, .. } => {
                 let written = file::raw_toml_value(text, field);
@@ -49,7 +49,7 @@ impl TrainingConfigError {
                 (field, written.unwrap_or_else(|| self.to_string()))
             }
         };
-        Self::Text(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
+        Self::Located(format!("{}:{}: {said}", path.display(), file::line_in_toml(text, field)))
     }
 }
 

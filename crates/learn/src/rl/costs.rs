@@ -48,7 +48,7 @@ pub struct CostConfig {
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
     /// Weight of departing from the law that the action is relative to.
-    #[serde(skip_serializing_if = "is_nothing")]
+    #[serde(skip_serializing_if = "is_zero")]
     #[serde(rename = "departure")]
     pub residual: f64,
 }
@@ -68,9 +68,9 @@ impl Default for CostConfig {
             relative_speed: 0.0,
             acceleration: 0.0,
             jerk: 0.0,
-            imposed: 0.0,
-            needless: 0.0,
-            departure: 0.0,
+            induced_braking: 0.0,
+            unnecessary_braking: 0.0,
+            residual: 0.0,
         }
     }
 }
@@ -84,9 +84,9 @@ impl CostConfig {
             ("environment.costs.relative_speed", self.relative_speed),
             ("environment.costs.acceleration", self.acceleration),
             ("environment.costs.jerk", self.jerk),
-            ("environment.costs.imposed", self.imposed),
-            ("environment.costs.needless", self.needless),
-            ("environment.costs.departure", self.departure),
+            ("environment.costs.imposed", self.induced_braking),
+            ("environment.costs.needless", self.unnecessary_braking),
+            ("environment.costs.departure", self.residual),
         ]
     }
 
@@ -116,9 +116,9 @@ impl CostConfig {
             relative_speed,
             acceleration,
             jerk,
-            imposed,
-            needless,
-            departure,
+            induced_braking: imposed,
+            unnecessary_braking: needless,
+            residual: departure,
         } = *self;
         Self {
             standstill_m,
@@ -128,9 +128,9 @@ impl CostConfig {
             relative_speed: relative_speed * times,
             acceleration: acceleration * times,
             jerk: jerk * times,
-            imposed: imposed * times,
-            needless: needless * times,
-            departure: departure * times,
+            induced_braking: imposed * times,
+            unnecessary_braking: needless * times,
+            residual: departure * times,
         }
     }
 

@@ -37,7 +37,7 @@ pub(super) fn parse_evaluation_episode(line: &str) -> Option<u64> {
 /// Computes the learning curve of trainings from their logs.
 #[must_use]
 pub fn learning_curve(preset: &str, logs: &[String]) -> LearningCurve {
-    LearningCurve::from_evaluations(preset, &logs.iter().map(|log| evaluations(log)).collect::<Vec<_>>())
+    LearningCurve::from_evaluations(preset, &logs.iter().map(|log| parse_evaluations(log)).collect::<Vec<_>>())
 }
 
 fn parse_evaluations(log: &str) -> BTreeMap<u64, f64> {

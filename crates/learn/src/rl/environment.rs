@@ -8,7 +8,7 @@ use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
 use crumple_world::observation::Observation;
-use crumple_world::policy::{ActionBounds, Held, ObservationScaling, STATE_LEN};
+use crumple_world::policy::{ActionBounds, HeldAction, ObservationScaling, STATE_LEN};
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{StepView, Motion, Run, Stepper};
 
@@ -58,17 +58,17 @@ impl EpisodeConfig {
     /// The terms of a configuration. `discount` is that of one decision.
     #[must_use]
     pub fn new(config: EnvironmentConfig, discount: f64) -> Arc<Self> {
-        Arc::new(Self { discount, scaling: config.observation.scaling(), bounds: bounds(&config), config })
+        Arc::new(Self { discount, scaling: config.observation.scaling(), action_bounds: action_bounds(&config), environment: config })
     }
 
     /// The terms of episode `index` of a source, where costs may count more or less than elsewhere.
     #[must_use]
     pub fn for_episode(self: &Arc<Self>, source: &dyn ScenarioSource, seed: u64, index: u64) -> Arc<Self> {
-        match source.costs_times(seed, index) {
+        match source.cost_multiplier(seed, index) {
             1.0 => Arc::clone(self),
             times => {
-                let costs = self.config.costs.times(times);
-                Self::new(EnvironmentConfig { costs, ..self.config.clone() }, self.discount)
+                let costs = self.environment.costs.scaled_by(times);
+                Self::new(EnvironmentConfig { costs, ..self.environment.clone() }, self.discount)
             }
         }
     }
@@ -76,7 +76,7 @@ impl EpisodeConfig {
     /// What they are of.
     #[must_use]
     pub fn environment(&self) -> &EnvironmentConfig {
-        &self.config
+        &self.environment
     }
 }
 
@@ -85,7 +85,7 @@ pub struct TrainingEpisode {
     stepper: Stepper,
     config: Arc<EpisodeConfig>,
     reward_tracker: RewardTracker,
-    held_action: Held,
+    held_action: HeldAction,
     total_steps: usize,
     min_rest_steps: usize,
     steps_at_rest: usize,
@@ -98,67 +98,67 @@ impl TrainingEpisode {
     pub fn new(run: &Run, terms: &Arc<EpisodeConfig>) -> Self {
         let stepper = Stepper::without_summaries(run);
         Self {
-            earnings: RewardTracker::new(&stepper, run.scenario().spec().step_s, &terms.config.costs),
+            reward_tracker: RewardTracker::new(&stepper, run.scenario().spec().step_s, &terms.environment.costs),
             stepper,
-            terms: Arc::clone(terms),
-            held: Held::default(),
-            steps: run.scenario().steps(),
-            settled_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
-            standing_steps: 0,
-            undiscounted: 0.0,
+            config: Arc::clone(terms),
+            held_action: HeldAction::default(),
+            total_steps: run.scenario().steps(),
+            min_rest_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
+            steps_at_rest: 0,
+            undiscounted_return: 0.0,
         }
     }
 
     /// The state now.
     pub fn state(&mut self) -> [f32; STATE_LEN] {
-        self.stepper.observe(EGO).map_or([0.0; STATE_LEN], |seen| self.terms.scaling.state(&seen))
+        self.stepper.observe(EGO).map_or([0.0; STATE_LEN], |seen| self.config.scaling.state(&seen))
     }
 
     /// Holds an action, between -1 and 1, until the next decision.
-    pub fn step(&mut self, action: f32) -> Consequence {
-        self.held.turn_to(action);
-        let Self { stepper, terms, earnings, held, standing_steps, .. } = self;
-        let EpisodeConfig { config, bounds, .. } = &**terms;
+    pub fn step(&mut self, action: f32) -> StepOutcome {
+        self.held_action.set(action);
+        let Self { stepper, config: terms, reward_tracker: earnings, held_action: held, steps_at_rest: standing_steps, .. } = self;
+        let EpisodeConfig { environment: config, action_bounds: bounds, .. } = &**terms;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let departure = Cell::new(0.0);
         let mut acceleration_mps2 = None;
         let command = |seen: &Observation| match acceleration_mps2 {
-            Some(held_mps2) if bounds.departs_from.is_none() => held_mps2,
+            Some(held_mps2) if bounds.residual_over.is_none() => held_mps2,
             _ => {
                 let wanted_mps2 = held.acceleration_mps2(bounds, seen, PAPER_STEP_S);
-                departure.set(held.departure());
+                departure.set(held.residual());
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
         let after = |now: &StepView<'_>| {
-            of_last_step = earnings.of_step(now, config, departure.get());
+            of_last_step = earnings.step_reward(now, config, departure.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
             *standing_steps = if at_rest { *standing_steps + 1 } else { 0 };
-            ending = if now.has_touched {
+            ending = if now.has_collided {
                 EpisodeEnding::Contact
             } else if now.has_ended {
-                EpisodeEnding::TimeOver
-            } else if *standing_steps >= self.settled_steps {
+                EpisodeEnding::TimeLimit
+            } else if *standing_steps >= self.min_rest_steps {
                 EpisodeEnding::AtRest
             } else {
                 EpisodeEnding::None
             };
             if ending == EpisodeEnding::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        stepper.drive(EGO, config.decision_steps as usize, command, after);
-        self.undiscounted += reward;
+        stepper.drive(EGO, config.action_repeat as usize, command, after);
+        self.undiscounted_return += reward;
         let mut to_learn = reward;
         if ending == EpisodeEnding::AtRest {
-            let steps_left = (self.steps - self.stepper.steps_made()) as f64;
-            self.undiscounted += steps_left * of_last_step;
-            let decisions_left = steps_left / f64::from(self.terms.config.decision_steps);
-            to_learn += self.terms.discount * self.standstill_return(of_last_step, decisions_left);
+            let steps_left = (self.total_steps - self.stepper.step_count()) as f64;
+            self.undiscounted_return += steps_left * of_last_step;
+            let decisions_left = steps_left / f64::from(self.config.environment.action_repeat);
+            to_learn += self.config.discount * self.standstill_return(of_last_step, decisions_left);
         }
         let over = matches!(ending, EpisodeEnding::Contact | EpisodeEnding::AtRest)
-            || (ending == EpisodeEnding::TimeOver && self.terms.config.time_limit == TimeLimit::End);
-        Consequence {
-            reward: (to_learn * self.terms.config.reward_scale) as f32,
+            || (ending == EpisodeEnding::TimeLimit && self.config.environment.time_limit == TimeLimit::Termination);
+        StepOutcome {
+            reward: (to_learn * self.config.environment.reward_scale) as f32,
             next_state: self.state(),
             ending,
             continues: !over,
@@ -168,18 +168,18 @@ impl TrainingEpisode {
     /// Discounted reward of standing still for the decisions that are left, or for ever if the time limit is no end, where each
     /// step earns the same.
     fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
-        let each = step_reward * f64::from(self.terms.config.decision_steps);
-        let for_ever = each / (1.0 - self.terms.discount);
-        match self.terms.config.time_limit {
+        let each = step_reward * f64::from(self.config.environment.action_repeat);
+        let for_ever = each / (1.0 - self.config.discount);
+        match self.config.environment.time_limit {
             TimeLimit::Truncation => for_ever,
-            TimeLimit::End => for_ever * (1.0 - self.terms.discount.powf(decisions_left)),
+            TimeLimit::Termination => for_ever * (1.0 - self.config.discount.powf(decisions_left)),
         }
     }
 
     /// The episode's reward so far as the paper counts it: undiscounted, unscaled, 22 500 when nothing touched.
     #[must_use]
     pub(crate) fn total_reward(&self) -> f64 {
-        self.undiscounted
+        self.undiscounted_return
     }
 
     /// Where every vehicle is, front to rear.
@@ -191,7 +191,7 @@ impl TrainingEpisode {
     /// Steps that were simulated.
     #[must_use]
     pub(crate) fn steps_made(&self) -> usize {
-        self.stepper.steps_made()
+        self.stepper.step_count()
     }
 }
 
@@ -200,7 +200,7 @@ impl TrainingEpisode {
 pub fn action_bounds(config: &EnvironmentConfig) -> ActionBounds {
     ActionBounds {
         high_mps2: config.max_accel_mps2,
-        departs_from: config.departs_from.clone(),
+        residual_over: config.residual_over.clone(),
         ..ActionBounds::default()
     }
 }

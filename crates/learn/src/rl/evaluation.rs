@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
 use super::trainer::TrainingError;
-use super::usefulness::{Traffic, TrafficUsefulness};
+use super::usefulness::{TrafficBenchmark, TrafficUsefulness};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{PaperDistribution, Scenario, built_in};
+use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 
 /// Seed of the held-out draws: the same for every training, and never a seed of training draws.
@@ -27,7 +27,7 @@ pub struct EvaluationSet {
     /// How many of the paper's scenarios, in order, a policy must survive to be ranked.
     required_paper_scenarios: usize,
     environment: EnvironmentConfig,
-    traffic: Option<Traffic>,
+    traffic: Option<TrafficBenchmark>,
 }
 
 /// The paper's scenarios.
@@ -63,7 +63,7 @@ impl PolicyEvaluation {
         let safe = |is: bool| f64::from(u8::from(is));
         [
             self.safe_share + safe(self.paper_safe[0]) + safe(self.paper_safe[1]),
-            match (self.both_sides, self.ranking_contacts) {
+            match (self.combined_penalty, self.ranking_contacts) {
                 (Some(both_sides), _) => -both_sides,
                 (None, Some(contacts)) => -(contacts as f64),
                 (None, None) => f64::NEG_INFINITY,
@@ -90,10 +90,10 @@ impl EvaluationSet {
         let draw = |indices: std::ops::Range<u64>| indices.filter_map(|index| draws.draw(index).ok());
         let first = evaluation.screening_draws;
         Self {
-            paper: PAPER.into_iter().filter_map(built_in).collect(),
+            paper: PAPER_SCENARIOS.into_iter().filter_map(built_in_scenario).collect(),
             screening: draw(0..first).collect(),
             ranking: draw(first..first + evaluation.ranking_draws).collect(),
-            paper_needed: 2,
+            required_paper_scenarios: 2,
             environment: environment.clone(),
             traffic: None,
         }
@@ -108,12 +108,12 @@ impl EvaluationSet {
         let (evaluation, environment) = (&config.evaluation, &config.environment);
         let mut held_out = Self::new(evaluation, environment);
         if !config.spaces.is_empty() {
-            let source = config.source()?;
+            let source = config.scenario_source()?;
             let draws = (0..evaluation.ranking_draws).map(|index| source.draw(EVALUATION_SEED, index));
             held_out.ranking = draws.collect::<Result<_, _>>()?;
         }
-        if evaluation.useful_draws > 0 {
-            held_out.traffic = Some(Traffic::new(TRAFFIC_SEED, evaluation.useful_draws, environment.estimator)?);
+        if evaluation.usefulness_draws > 0 {
+            held_out.traffic = Some(TrafficBenchmark::new(TRAFFIC_SEED, evaluation.usefulness_draws, environment.estimator)?);
         }
         Ok(held_out)
     }
@@ -121,7 +121,7 @@ impl EvaluationSet {
     /// With other scenarios for the ranking, which only policies reach that survive all three of the paper's.
     #[must_use]
     pub(crate) fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
-        (self.ranking, self.paper_needed) = (ranking, PAPER.len());
+        (self.ranking, self.required_paper_scenarios) = (ranking, PAPER_SCENARIOS.len());
         self
     }
 
@@ -138,7 +138,7 @@ impl EvaluationSet {
             for (safe, run) in paper_safe.iter_mut().zip(&driven) {
                 *safe &= run.contact_s.is_none();
             }
-            smallest_gap_m = smallest_gap_m.min(smallest(&driven));
+            smallest_gap_m = smallest_gap_m.min(min_gap_m(&driven));
         }
         let draws = drive(&self.screening, policy, of)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
@@ -147,27 +147,27 @@ impl EvaluationSet {
             safe_share: safe as f64 / draws.len().max(1) as f64,
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>() / draws.len().max(1) as f64,
             ranking_contacts: None,
-            smallest_gap_m: smallest_gap_m.min(smallest(&draws)),
-            useful: None,
-            both_sides: None,
+            smallest_gap_m: smallest_gap_m.min(min_gap_m(&draws)),
+            usefulness: None,
+            combined_penalty: None,
         };
-        let is_paper_safe = paper_safe.iter().take(self.paper_needed).all(|&safe| safe);
+        let is_paper_safe = paper_safe.iter().take(self.required_paper_scenarios).all(|&safe| safe);
         if safe == draws.len() && is_paper_safe && !self.ranking.is_empty() {
             let ranked = drive(&self.ranking, policy, of)?;
             let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
             evaluation.ranking_contacts = Some(contacts as u64);
-            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(smallest(&ranked));
+            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
             if let Some(traffic) = &self.traffic {
-                let useful = traffic.driven_by(&ControllerKind::Policy(Arc::clone(policy)))?;
-                evaluation.useful = Some(useful);
-                evaluation.both_sides = Some(contacts as f64 / ranked.len() as f64 + useful.fault());
+                let useful = traffic.evaluate(&ControllerKind::Policy(Arc::clone(policy)))?;
+                evaluation.usefulness = Some(useful);
+                evaluation.combined_penalty = Some(contacts as f64 / ranked.len() as f64 + useful.penalty());
             }
         }
         Ok(evaluation)
     }
 
     /// The paper's reward of a run of 1500 steps.
-    fn reward(&self, run: &Driven) -> f64 {
+    fn reward(&self, run: &EvaluationRun) -> f64 {
         match run.contact_s {
             None => run.steps as f64 * self.environment.step_reward,
             Some(contact_s) => {
@@ -202,17 +202,17 @@ struct EvaluationRun {
     step_s: f64,
 }
 
-fn min_gap_m(runs: &[Driven]) -> f64 {
+fn min_gap_m(runs: &[EvaluationRun]) -> f64 {
     runs.iter().map(|run| run.smallest_gap_m).fold(f64::INFINITY, f64::min)
 }
 
-fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<Driven>, RunError> {
+fn drive(scenarios: &[Scenario], policy: &Arc<Policy>, estimator: EstimatorKind) -> Result<Vec<EvaluationRun>, RunError> {
     let options = RunOptions::new(Arc::clone(policy)).with_estimator(estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, result| {
         let scenario = runs[index].scenario();
         let gaps = result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
-        Driven {
+        EvaluationRun {
             contact_s: result.outcome.contact().map(|contact| contact.time_s),
             smallest_gap_m: gaps.fold(f64::INFINITY, f64::min),
             steps: scenario.steps(),

@@ -7,14 +7,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
-use super::curve::{episode_of, judged_after};
-use super::evaluation::{Evaluation, EvaluationSet, unseen_contacts};
-use super::runner::{Event, TrainingRecorder, train_recorded};
+use super::curve::{parse_episode, parse_evaluation_episode};
+use super::evaluation::{PolicyEvaluation, EvaluationSet, count_unseen_contacts};
+use super::runner::{TrainingEvent, TrainingRecorder, train_with_recorder};
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
-use crumple_store::work::{Asked, MANIFEST, Work, WorkError};
+use crumple_store::run_folder::{RunFolderOptions, MANIFEST_FILE, RunFolder, RunFolderError};
 
 /// How it was trained: a file as `--preset` takes it.
 pub(super) const CONFIGURATION: &str = "training.toml";
@@ -34,7 +34,7 @@ pub struct SeedResult {
     pub best_episode: Option<u64>,
     /// How it did then.
     #[serde(flatten)]
-    pub evaluation: Option<Evaluation>,
+    pub evaluation: Option<PolicyEvaluation>,
     /// Contacts among draws that took no part in training or selection: [`super::UNSEEN_DRAWS`] of them.
     pub unseen_contacts: u64,
     /// SHA-256 of the policy file; none if no checkpoint was better than the untrained network, which is not kept.
@@ -52,7 +52,7 @@ impl SeedResult {
 /// The training of one seed, in its folder.
 #[derive(Debug)]
 pub struct TrainingFolder<'a> {
-    run_folder: Work,
+    run_folder: RunFolder,
     config: &'a TrainingConfig,
     pub(super) trainer: Trainer,
     log: String,
@@ -70,20 +70,20 @@ impl<'a> TrainingFolder<'a> {
     /// # Errors
     /// [`TrainingError`] if the folder is in use, holds another training, or another build's, or anything there is damaged.
     pub fn open(out: &Path, config: &'a TrainingConfig, seed: u64, resume: bool) -> Result<Self, TrainingError> {
-        let work = opened(out, config, seed, resume)?;
-        let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.source()?);
+        let work = open_run_folder(out, config, seed, resume)?;
+        let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.scenario_source()?);
         let trainer = match checkpoint {
             Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(|error| match error {
-                TrainingError::Checkpoint(problem) => WorkError::Damaged { path, problem }.into(),
+                TrainingError::Checkpoint(problem) => RunFolderError::Damaged { path, problem }.into(),
                 other => other,
             })?,
             None => Trainer::with_source(config, seed, source),
         };
         let before = work.read(LOG)?.unwrap_or_default();
-        let is_done = |line: &&str| episode_of(line).is_some_and(|episode| episode <= trainer.episode());
+        let is_done = |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
         // How it was judged because it was to end there: it is again, if it still is, and else a training without that end says nothing of it.
         let is_of_the_end = |line: &&str| {
-            judged_after(line).is_some_and(|episode| episode > 0 && !trainer.is_evaluation_episode(episode))
+            parse_evaluation_episode(line).is_some_and(|episode| episode > 0 && !trainer.is_evaluation_episode(episode))
         };
         // The log is written before the checkpoint: what it has beyond that is done again.
         let log = match trainer.episode() {
@@ -93,7 +93,7 @@ impl<'a> TrainingFolder<'a> {
                 before.split_inclusive('\n').take_while(is_done).filter(|line| !is_of_the_end(line)).collect()
             }
         };
-        Ok(Self { work, config, trainer, log })
+        Ok(Self { run_folder: work, config, trainer, log })
     }
 
     /// Episodes that are done.
@@ -106,20 +106,20 @@ impl<'a> TrainingFolder<'a> {
     ///
     /// # Errors
     /// [`TrainingError`] if the training diverges, a file cannot be written, or `observer` stops the training.
-    pub fn train(mut self, held_out: &EvaluationSet, observer: &dyn Observer<Event>) -> Result<SeedResult, TrainingError> {
-        let configuration = text_of(self.config)?;
-        let known = if self.work.is_complete() { self.work.read(CONFIGURATION)? } else { None };
+    pub fn train(mut self, held_out: &EvaluationSet, observer: &dyn Observer<TrainingEvent>) -> Result<SeedResult, TrainingError> {
+        let configuration = config_toml(self.config)?;
+        let known = if self.run_folder.is_complete() { self.run_folder.read(CONFIGURATION)? } else { None };
         if known.is_some_and(|known| known == configuration.as_bytes()) {
-            return read_result(&self.work);
+            return read_result(&self.run_folder);
         }
-        self.work.write(CONFIGURATION, configuration)?;
-        let mut keeper = FolderRecorder { work: &self.work, log: self.log, observer };
-        let trained = train_recorded::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
+        self.run_folder.write(CONFIGURATION, configuration)?;
+        let mut keeper = FolderRecorder { run_folder: &self.run_folder, log: self.log, observer };
+        let trained = train_with_recorder::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
         let log = keeper.log;
         let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
             // What an untrained network does is no result of a training.
-            self.work.changes().remove(POLICY).commit()?;
+            self.run_folder.transaction().remove(POLICY).commit()?;
         }
         trained?;
         let policy = Arc::new(self.trainer.policy()?);
@@ -128,30 +128,30 @@ impl<'a> TrainingFolder<'a> {
             episodes: self.trainer.episode(),
             best_episode: self.trainer.best().map(|best| best.episode),
             evaluation: self.trainer.best().map(|best| best.evaluation),
-            unseen_contacts: unseen_contacts(&policy, self.config.environment.estimator)?,
+            unseen_contacts: count_unseen_contacts(&policy, self.config.environment.estimator)?,
             policy_sha256: has_learned.then(|| policy.digest()),
         };
         // The checkpoint is from before the training was judged at its end, where it was for that reason alone.
-        let mut changes = self.work.changes();
+        let mut changes = self.run_folder.transaction();
         changes.write(LOG, log).write(RESULT, serde_json::to_string_pretty(&result)? + "\n");
         if has_learned {
             changes.write(POLICY, policy.to_bytes()?);
         }
         changes.commit()?;
-        self.work.finish()?;
+        self.run_folder.finish()?;
         Ok(result)
     }
 }
 
 /// Keeps one seed's log and checkpoints.
 struct FolderRecorder<'a> {
-    run_folder: &'a Work,
+    run_folder: &'a RunFolder,
     log: String,
-    observer: &'a dyn Observer<Event>,
+    observer: &'a dyn Observer<TrainingEvent>,
 }
 
 impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
-    fn record(&mut self, event: &Event) -> Result<(), TrainingError> {
+    fn record(&mut self, event: &TrainingEvent) -> Result<(), TrainingError> {
         self.log += &serde_json::to_string(event)?;
         self.log.push('\n');
         Ok(self.observer.notify(event)?)
@@ -159,7 +159,7 @@ impl TrainingRecorder<TrainingError> for FolderRecorder<'_> {
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), TrainingError> {
         let (policy, checkpoint) = (trainer.policy()?.to_bytes()?, trainer.to_checkpoint()?);
-        let mut changes = self.work.changes();
+        let mut changes = self.run_folder.transaction();
         changes.write(LOG, self.log.as_str()).write(POLICY, policy).write(CHECKPOINT, checkpoint);
         Ok(changes.commit()?)
     }
@@ -182,16 +182,16 @@ pub fn read_finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Ve
     seeds.sort_unstable();
     let mut finished = Vec::new();
     for seed in seeds {
-        let (folder, manifest) = (seed_folder(out, seed), seed_folder(out, seed).join(MANIFEST));
+        let (folder, manifest) = (seed_folder(out, seed), seed_folder(out, seed).join(MANIFEST_FILE));
         if !manifest.exists() {
             if [POLICY, CHECKPOINT].iter().any(|name| folder.join(name).exists()) {
-                return Err(WorkError::missing(&manifest).into());
+                return Err(RunFolderError::missing(&manifest).into());
             }
             // Another process may be about to begin there.
             continue;
         }
-        let work = match opened(out, config, seed, true) {
-            Err(TrainingError::Work(WorkError::InUse { .. } | WorkError::OtherBuild { .. })) => continue,
+        let work = match open_run_folder(out, config, seed, true) {
+            Err(TrainingError::RunFolder(RunFolderError::InUse { .. } | RunFolderError::OtherBuild { .. })) => continue,
             work => work?,
         };
         if work.is_complete() {
@@ -203,20 +203,20 @@ pub fn read_finished_trainings(out: &Path, config: &TrainingConfig) -> Result<Ve
 }
 
 /// The work of a seed; of an error that it was configured otherwise, in what.
-fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<Work, TrainingError> {
+fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<RunFolder, TrainingError> {
     let folder = seed_folder(out, seed);
-    let configuration = identity_of(config, seed)?;
-    let asked = Asked {
+    let configuration = training_identity(config, seed)?;
+    let asked = RunFolderOptions {
         kind: "training",
         configuration: &configuration,
         configuration_file: CONFIGURATION,
         resume,
         outputs: &[CONFIGURATION, LOG, CHECKPOINT, POLICY, RESULT],
     };
-    match Work::open(&folder, asked) {
-        Err(WorkError::OtherConfiguration { path, found, .. }) => {
+    match RunFolder::open(&folder, asked) {
+        Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
             let episodes = TrainingConfig::parse(&found, &path).map_or(config.episodes, |found| found.episodes);
-            let expected = text_of(&TrainingConfig { episodes, ..config.clone() })?;
+            let expected = config_toml(&TrainingConfig { episodes, ..config.clone() })?;
             Err(TrainingError::OtherTraining(difference::describe_toml(&path, "training", &found, &expected)))
         }
         work => Ok(work?),
@@ -225,15 +225,15 @@ fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool)
 
 /// What decides a training. It may be made longer.
 pub(super) fn training_identity(config: &TrainingConfig, seed: u64) -> Result<String, TrainingError> {
-    Ok(format!("seed = {seed}\n{}", text_of(&TrainingConfig { episodes: 0, ..config.clone() })?))
+    Ok(format!("seed = {seed}\n{}", config_toml(&TrainingConfig { episodes: 0, ..config.clone() })?))
 }
 
 pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {
-    toml::to_string(config).map_err(TrainingError::Configuration)
+    toml::to_string(config).map_err(TrainingError::ConfigEncoding)
 }
 
-fn read_result(work: &Work) -> Result<SeedResult, TrainingError> {
+fn read_result(work: &RunFolder) -> Result<SeedResult, TrainingError> {
     let bytes = work.read_required(RESULT)?;
-    let damaged = |error: serde_json::Error| WorkError::Damaged { path: work.path(RESULT), problem: error.to_string() };
+    let damaged = |error: serde_json::Error| RunFolderError::Damaged { path: work.path(RESULT), problem: error.to_string() };
     Ok(serde_json::from_slice(&bytes).map_err(damaged)?)
 }

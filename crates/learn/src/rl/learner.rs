@@ -11,7 +11,7 @@ use super::adam::Adam;
 use super::backprop::Tape;
 use super::config::{LearningConfig, Td3Config, TrainingConfig};
 use super::replay::Batch;
-use crumple_world::policy::{Network, with_hands_ready};
+use crumple_world::policy::{Network, with_workers};
 use crumple_world::random::{self, Purpose, Stream};
 
 /// A network, the target that follows it, and its optimiser.
@@ -84,26 +84,26 @@ impl Learner {
         let inputs = config.environment.observation.width();
         let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
         let fresh = |index, inputs| {
-            let mut stream = random::stream(seed, Purpose::FirstWeights, index);
+            let mut stream = random::stream(seed, Purpose::InitialWeights, index);
             TrainableNetwork::new(init_network(&sizes(inputs), network.final_layer_bound, &mut stream))
         };
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
             actor: fresh(0, inputs),
-            critics: (1..=critics).map(|index| fresh(index, inputs + learning.privileged() + 1)).collect(),
+            critics: (1..=critics).map(|index| fresh(index, inputs + learning.privileged_width() + 1)).collect(),
             updates: 0,
-            inputs,
-            rate_share: 1.0,
+            state_width: inputs,
+            lr_factor: 1.0,
             learning: learning.clone(),
             td3: td3.clone(),
-            space: UpdateWorkspace::default(),
+            workspace: UpdateWorkspace::default(),
         }
     }
 
     /// The actor's answers, between -1 and 1, to states row after row.
     pub fn act(&mut self, states: &[f32]) -> &[f32] {
-        let UpdateWorkspace { actor, actions, .. } = &mut self.space;
-        let batch = states.len() / self.inputs;
+        let UpdateWorkspace { actor, actions, .. } = &mut self.workspace;
+        let batch = states.len() / self.state_width;
         let raw = actor.forward(&self.actor.network, batch, |input| input.extend_from_slice(states));
         squash_actions(raw, actions);
         actions
@@ -112,7 +112,7 @@ impl Learner {
     /// One update on a batch. `noise` feeds target smoothing.
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
         let widest = self.networks().flat_map(Network::layers).map(|layer| layer.inputs * layer.outputs).max();
-        with_hands_ready(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
+        with_workers(batch.len() * widest.unwrap_or(0), || self.step(batch, noise))
     }
 
     fn step(&mut self, batch: &Batch, noise: &mut Stream) -> Losses {
@@ -122,9 +122,9 @@ impl Learner {
         for index in 0..self.critics.len() {
             let found = self.compute_critic_gradient(index, batch);
             let TrainableNetwork { network, target, adam } = &mut self.critics[index];
-            let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.soft_update));
-            let rate = self.rate_share * self.learning.critic_rate;
-            adam.step(network.parameters_mut(), &self.space.critic_gradients, rate, follow);
+            let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.tau));
+            let rate = self.lr_factor * self.learning.critic_rate;
+            adam.step(network.parameters_mut(), &self.workspace.critic_gradients, rate, follow);
             if index == 0 {
                 losses = found;
             }
@@ -132,9 +132,9 @@ impl Learner {
         if actor_is_due {
             self.compute_actor_gradient(batch);
             let TrainableNetwork { network, target, adam } = &mut self.actor;
-            let follow = Some((target.parameters_mut(), self.learning.soft_update));
-            let rate = self.rate_share * self.learning.actor_rate;
-            adam.step(network.parameters_mut(), &self.space.actor_gradients, rate, follow);
+            let follow = Some((target.parameters_mut(), self.learning.tau));
+            let rate = self.lr_factor * self.learning.actor_rate;
+            adam.step(network.parameters_mut(), &self.workspace.actor_gradients, rate, follow);
         }
         self.updates += 1;
         losses
@@ -142,7 +142,7 @@ impl Learner {
 
     /// y for every transition of the batch.
     fn compute_td_targets(&mut self, batch: &Batch, noise: &mut Stream) {
-        let UpdateWorkspace { target, actions, td_targets, .. } = &mut self.space;
+        let UpdateWorkspace { target, actions, td_targets, .. } = &mut self.workspace;
         let raw = target.forward(&self.actor.target, batch.len(), |input| input.extend_from_slice(&batch.next_states));
         squash_actions(raw, actions);
         if self.td3.target_noise > 0.0 {
@@ -153,7 +153,7 @@ impl Learner {
             }
         }
         for (index, critic) in self.critics.iter().enumerate() {
-            let fill = |input: &mut Vec<f32>| beside([&batch.next_states, &batch.next_privileged], actions, input);
+            let fill = |input: &mut Vec<f32>| fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input);
             let values = target.forward(&critic.target, batch.len(), fill);
             if index == 0 {
                 td_targets.clear();
@@ -170,9 +170,9 @@ impl Learner {
 
     /// Gradient of the mean squared error of critic `index` at the td_targets, into the working space.
     fn compute_critic_gradient(&mut self, index: usize, batch: &Batch) -> Losses {
-        let UpdateWorkspace { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.space;
+        let UpdateWorkspace { critic: tape, td_targets, value_gradients, critic_gradients, .. } = &mut self.workspace;
         let network = &self.critics[index].network;
-        let fill = |input: &mut Vec<f32>| beside([&batch.states, &batch.privileged], &batch.actions, input);
+        let fill = |input: &mut Vec<f32>| fill_critic_input([&batch.states, &batch.privileged], &batch.actions, input);
         let values = tape.forward(network, batch.len(), fill);
         let n = batch.len() as f64;
         let mut losses = Losses::default();
@@ -195,8 +195,8 @@ impl Learner {
         // Rows of the next states follow those of the states where they count.
         let smoothness = 2.0 * self.learning.smoothness_penalty / n;
         let next_states = if smoothness > 0.0 { batch.next_states.as_slice() } else { &[] };
-        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.space;
-        let rows = (batch.states.len() + next_states.len()) / self.inputs;
+        let UpdateWorkspace { actor, critic: tape, actions, value_gradients, actor_gradients, .. } = &mut self.workspace;
+        let rows = (batch.states.len() + next_states.len()) / self.state_width;
         let raw = actor.forward(&self.actor.network, rows, |input| {
             input.extend_from_slice(&batch.states);
             input.extend_from_slice(next_states);
@@ -204,7 +204,7 @@ impl Learner {
         squash_actions(raw, actions);
         let (actions, next_actions) = actions.split_at(batch.len());
         let critic = &self.critics[0].network;
-        tape.forward(critic, batch.len(), |input| beside([&batch.states, &batch.privileged], actions, input));
+        tape.forward(critic, batch.len(), |input| fill_critic_input([&batch.states, &batch.privileged], actions, input));
         value_gradients.clear();
         value_gradients.resize(batch.len(), -1.0 / n);
         let mut by_action = vec![0.0; batch.len()];
@@ -234,10 +234,10 @@ impl Learner {
         let mut critics = Vec::new();
         for index in 0..self.critics.len() {
             self.compute_critic_gradient(index, batch);
-            critics.push(self.space.critic_gradients.clone());
+            critics.push(self.workspace.critic_gradients.clone());
         }
         self.compute_actor_gradient(batch);
-        (critics, self.space.actor_gradients.clone())
+        (critics, self.workspace.actor_gradients.clone())
     }
 }
 
@@ -266,7 +266,7 @@ fn init_network(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Netwo
     for (index, layer) in layers.enumerate() {
         let fan_in = (layer.inputs as f32).sqrt().recip();
         let bound = if index == last && final_bound > 0.0 { final_bound } else { fan_in };
-        for parameter in &mut network.parameters_mut()[layer.from..layer.biases().end] {
+        for parameter in &mut network.parameters_mut()[layer.offset..layer.biases().end] {
             *parameter = stream.random_range(-bound..=bound);
         }
     }

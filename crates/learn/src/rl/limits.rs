@@ -1,9 +1,9 @@
 //! Whether a training configuration can be trained with: the range of each number, and what fields say of each other.
 
-use super::blend;
+use super::space_mixture;
 use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
-use super::config_error::{ConfigError, within};
-use crumple_world::policy::Departure;
+use super::config_error::{TrainingConfigError, check_range};
+use crumple_world::policy::ResidualControl;
 
 /// Most hidden layers.
 const MAX_LAYERS: usize = 16;
@@ -17,14 +17,14 @@ const BATCH_COPIES: u64 = 8;
 /// Bytes of a held-out scenario with its run: 2200 to 2700 as measured.
 const SCENARIO_BYTES: u64 = 2600;
 
-fn check_penalty(field: &str, weight: f32) -> Result<(), ConfigError> {
+fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
     let (weight, [least, most]) = (f64::from(weight), PENALTY_RANGE);
     // As somebody wrote it, the least in single precision is no less.
     if 0.0 < weight && weight < f64::from(least as f32) {
         let problem = format!("must be 0, for none, or between {least} and {most}: less would do nothing");
-        return Err(ConfigError::Field { field: field.to_owned(), problem });
+        return Err(TrainingConfigError::Field { field: field.to_owned(), problem });
     }
-    within(field, weight, [0.0, most])
+    check_range(field, weight, [0.0, most])
 }
 
 impl TrainingConfig {
@@ -32,99 +32,99 @@ impl TrainingConfig {
     ///
     /// # Errors
     /// [`ConfigError::Range`] and [`ConfigError::Field`] name the first field that is wrong.
-    pub fn check(&self) -> Result<(), ConfigError> {
+    pub fn check(&self) -> Result<(), TrainingConfigError> {
         if self.version != TRAINING_VERSION {
             let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
-            return Err(ConfigError::Field { field: "version".to_owned(), problem });
+            return Err(TrainingConfigError::Field { field: "version".to_owned(), problem });
         }
         if self.name.trim().is_empty() {
-            return Err(ConfigError::Field { field: "name".to_owned(), problem: "must say something".to_owned() });
+            return Err(TrainingConfigError::Field { field: "name".to_owned(), problem: "must say something".to_owned() });
         }
-        within("episodes", self.episodes as f64, [1.0, 1e7])?;
-        within("environment.decision_steps", f64::from(self.environment.decision_steps), [1.0, 1500.0])?;
-        within("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
-        within("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
-        within("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
-        within("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
+        check_range("episodes", self.episodes as f64, [1.0, 1e7])?;
+        check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
+        check_range("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
+        check_range("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
+        check_range("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
+        check_range("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
-        terms.try_for_each(|(field, value, range)| within(&field, value, range))?;
+        terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.environment.observation.check()?;
-        let mut departure = self.environment.departs_from.iter().flat_map(Departure::numbers);
+        let mut departure = self.environment.residual_over.iter().flat_map(ResidualControl::parameters);
         departure
-            .try_for_each(|(name, value, range)| within(&format!("environment.departs_from.{name}"), value, range))?;
+            .try_for_each(|(name, value, range)| check_range(&format!("environment.departs_from.{name}"), value, range))?;
         let layers = self.network.hidden.len();
-        if !(1..=MOST_LAYERS).contains(&layers) {
-            let problem = format!("must have 1 to {MOST_LAYERS} layers, found {layers}");
-            return Err(ConfigError::Field { field: "network.hidden".to_owned(), problem });
+        if !(1..=MAX_LAYERS).contains(&layers) {
+            let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
+            return Err(TrainingConfigError::Field { field: "network.hidden".to_owned(), problem });
         }
         for (layer, &width) in self.network.hidden.iter().enumerate() {
-            within(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
+            check_range(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
         }
-        within("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
-        within("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
-        within("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
-        if let Some(fall) = &self.learning.rates_fall {
-            within("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
-            within("learning.rates_fall.to_share", fall.to_share, [0.0, 1.0])?;
+        check_range("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
+        check_range("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
+        check_range("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
+        if let Some(fall) = &self.learning.lr_decay {
+            check_range("learning.rates_fall.until_episode", fall.until_episode as f64, [1.0, 1e7])?;
+            check_range("learning.rates_fall.to_share", fall.final_factor, [0.0, 1.0])?;
         }
-        within("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
-        within("learning.soft_update", f64::from(self.learning.soft_update), [0.0, 1.0])?;
-        within("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
-        within("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
-        penalty("learning.saturation_penalty", self.learning.saturation_penalty)?;
-        penalty("learning.smoothness_penalty", self.learning.smoothness_penalty)?;
-        within("exploration.random_episodes", self.exploration.random_episodes as f64, [0.0, 1e7])?;
-        let random = self.exploration.random_episodes;
-        if let Some(fall) = self.learning.rates_fall.as_ref().filter(|fall| fall.until_episode <= random) {
+        check_range("learning.discount", self.learning.discount, [0.0, 0.999_999_9])?;
+        check_range("learning.soft_update", f64::from(self.learning.tau), [0.0, 1.0])?;
+        check_range("learning.batch", self.learning.batch as f64, [1.0, 65_536.0])?;
+        check_range("learning.decisions_per_update", f64::from(self.learning.decisions_per_update), [1.0, 1e6])?;
+        check_penalty("learning.saturation_penalty", self.learning.saturation_penalty)?;
+        check_penalty("learning.smoothness_penalty", self.learning.smoothness_penalty)?;
+        check_range("exploration.random_episodes", self.exploration.learning_starts_episode as f64, [0.0, 1e7])?;
+        let random = self.exploration.learning_starts_episode;
+        if let Some(fall) = self.learning.lr_decay.as_ref().filter(|fall| fall.until_episode <= random) {
             let problem = format!(
                 "must be more than exploration.random_episodes, after which learning begins: more than {random}, found {}",
                 fall.until_episode
             );
-            return Err(ConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
+            return Err(TrainingConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
         }
-        within("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
-        within("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
-        within("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
-        within("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
+        check_range("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
+        check_range("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
+        check_range("exploration.noise_decay", self.exploration.noise_decay, [0.0, 1.0])?;
+        check_range("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
         if self.replay.capacity < self.learning.batch {
             let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
-            return Err(ConfigError::Field { field: "replay.capacity".to_owned(), problem });
+            return Err(TrainingConfigError::Field { field: "replay.capacity".to_owned(), problem });
         }
-        within("replay.contact_share", self.replay.contact_share, [0.0, 1.0])?;
-        within("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
-        within("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
-        within("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
-        within("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
-        within("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
-        within("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
-        within("evaluation.useful_draws", self.evaluation.useful_draws as f64, [0.0, 1e4])?;
-        within("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
-        within("evaluation.mean_over_updates", self.evaluation.mean_over_updates as f64, [0.0, 1e9])?;
-        space_mixture::check(&self.spaces)?;
+        check_range("replay.contact_share", self.replay.collision_fraction, [0.0, 1.0])?;
+        check_range("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
+        check_range("td3.target_noise", f64::from(self.td3.target_noise), [0.0, 10.0])?;
+        check_range("td3.target_noise_limit", f64::from(self.td3.target_noise_limit), [0.0, 10.0])?;
+        check_range("evaluation.every_episodes", self.evaluation.every_episodes as f64, [1.0, 1e9])?;
+        check_range("evaluation.screening_draws", self.evaluation.screening_draws as f64, [1.0, 1e6])?;
+        check_range("evaluation.ranking_draws", self.evaluation.ranking_draws as f64, [0.0, 1e6])?;
+        check_range("evaluation.useful_draws", self.evaluation.usefulness_draws as f64, [0.0, 1e4])?;
+        check_range("evaluation.master_gap_m", self.evaluation.master_gap_m, [0.0, 16.0])?;
+        check_range("evaluation.mean_over_updates", self.evaluation.weight_average_updates as f64, [0.0, 1e9])?;
+        space_mixture::check_spaces(&self.spaces)?;
         self.check_memory()
     }
 
     /// Refuses a training that takes more than [`MOST_BYTES`], and names the field that takes most of them.
-    fn check_memory(&self) -> Result<(), ConfigError> {
+    fn check_memory(&self) -> Result<(), TrainingConfigError> {
         let parts = self.memory_by_field();
         let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
         let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
-        match largest.filter(|_| found > MOST_BYTES) {
+        match largest.filter(|_| found > MAX_MEMORY_BYTES) {
             None => Ok(()),
             Some((field, _)) => {
                 let problem =
-                    format!("training takes about {} MiB of memory, at most {} MiB", found >> 20, MOST_BYTES >> 20);
-                Err(ConfigError::Field { field: (*field).to_owned(), problem })
+                    format!("training takes about {} MiB of memory, at most {} MiB", found >> 20, MAX_MEMORY_BYTES >> 20);
+                Err(TrainingConfigError::Field { field: (*field).to_owned(), problem })
             }
         }
     }
 
     /// Returns an upper bound of the bytes that each part of a training takes, with the field that decides it.
     fn memory_by_field(&self) -> [(&'static str, u64); 4] {
-        let inputs = self.environment.observation.width() + self.learning.privileged() + 1;
+        let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
         let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
-        let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.useful_draws;
+        let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.usefulness_draws;
         let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
         [
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
@@ -132,7 +132,7 @@ impl TrainingConfig {
             // The memory and its checkpoint.
             (
                 "replay.capacity",
-                float_bytes(2 * (self.remembered().numbers() as u64 + 1) * self.replay.capacity as u64),
+                float_bytes(2 * (self.transition_layout().width() as u64 + 1) * self.replay.capacity as u64),
             ),
             ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
         ]

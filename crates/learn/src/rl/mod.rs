@@ -32,29 +32,29 @@ mod trainer;
 mod usefulness;
 
 pub use adam::Adam;
-pub use space_mixture::{SpaceShare, SpaceMixture};
+pub use space_mixture::{TrainingSpace, SpaceMixture};
 #[cfg(feature = "schema")]
 pub use config::json_schema;
 pub use config::{
     EnvironmentConfig, EvaluationConfig, ExplorationConfig, LearningConfig, NetworkConfig, PRESETS, LrDecay,
     ReplayConfig, TRAINING_VERSION, Td3Config, TimeLimit, TrainingConfig,
 };
-pub use config_error::ConfigError;
+pub use config_error::TrainingConfigError;
 pub use costs::CostConfig;
-pub use curve::{episode_of, learning_curve};
-pub use environment::{Consequence, Ending, Episode, Terms, bounds};
-pub use evaluation::{Evaluation, EvaluationSet, UNSEEN_DRAWS, unseen_contacts};
-pub use folder::{SeedResult, TrainingFolder, finished_trainings, seed_folder};
-pub use learner::{Learner, Losses, Trained};
-pub use observation::{Inputs, ObservationConfig, Scale};
-pub use replay::{Batch, Remembered, Replay, Transition};
-pub use runner::{Event, side_by_side, train};
-pub(crate) use runner::{TrainingRecorder, train_recorded};
-pub use shard::{GatherError, MergedTrainings, TrainingShard, is_of_trainings};
-pub use source::{Blend, Mixed, PaperSource, ScenarioSource, unsuited};
-pub use trainer::{Best, EpisodeRecord, Trainer, TrainingError};
+pub use curve::{parse_episode, learning_curve};
+pub use environment::{StepOutcome, EpisodeEnding, TrainingEpisode, EpisodeConfig, action_bounds};
+pub use evaluation::{PolicyEvaluation, EvaluationSet, UNSEEN_DRAWS, count_unseen_contacts};
+pub use folder::{SeedResult, TrainingFolder, read_finished_trainings, seed_folder};
+pub use learner::{Learner, Losses, TrainableNetwork};
+pub use observation::{ObservationInputs, ObservationConfig, InputScaling};
+pub use replay::{Batch, TransitionLayout, ReplayBuffer, Transition};
+pub use runner::{TrainingEvent, parallel_map, train};
+pub(crate) use runner::{TrainingRecorder, train_with_recorder};
+pub use shard::{MergeTrainingsError, MergedTrainings, TrainingShard, is_trainings_folder};
+pub use source::{SourceMixture, CaseMixture, PaperSource, ScenarioSource, unsuitability};
+pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};
 pub use usefulness::TrafficUsefulness;
-pub(crate) use usefulness::usefulness;
+pub(crate) use usefulness::measure_usefulness;
 
 #[cfg(test)]
 mod tests;

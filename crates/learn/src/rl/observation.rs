@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::config_error::ConfigError;
+use super::config_error::TrainingConfigError;
 use crumple_world::policy::{MAX_HISTORY, ObservationScaling, STATE_LEN};
 
 /// Which numbers the networks see, each as `(x - offset) / scale`, cut to ±`limit`. What is left out of `inputs` is always 0.
@@ -163,7 +163,7 @@ impl ObservationConfig {
     /// What a policy file carries of it.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
-        let all = self.inputs.in_order().map(|input| input.unwrap_or(MASKED_INPUT));
+        let all = self.inputs.to_array().map(|input| input.unwrap_or(MASKED_INPUT));
         ObservationScaling {
             offset: all.map(|input| input.offset),
             scale: all.map(|input| input.scale),
@@ -176,7 +176,7 @@ impl ObservationConfig {
 
     /// Every number, its name and its range.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let inputs = INPUT_FIELDS.into_iter().zip(self.inputs.in_order()).filter_map(|(name, input)| Some((name, input?)));
+        let inputs = INPUT_FIELDS.into_iter().zip(self.inputs.to_array()).filter_map(|(name, input)| Some((name, input?)));
         let inputs = inputs.flat_map(|(name, input)| {
             let of = |field| format!("{name}.{field}");
             [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
@@ -191,17 +191,17 @@ impl ObservationConfig {
     }
 
     /// Refuses to see nothing, and to look back at intervals where it does not look back.
-    pub(super) fn check(&self) -> Result<(), ConfigError> {
+    pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
         if self.history_every > 1 && self.history == 1 {
             let problem = "says how far apart decisions are that are looked back on, and without a `history` of 2 or more there are none";
             let field = "environment.observation.history_every".to_owned();
-            return Err(ConfigError::Field { field, problem: problem.to_owned() });
+            return Err(TrainingConfigError::Field { field, problem: problem.to_owned() });
         }
-        if self.inputs.in_order().iter().any(Option::is_some) {
+        if self.inputs.to_array().iter().any(Option::is_some) {
             return Ok(());
         }
         let field = "environment.observation.inputs".to_owned();
-        Err(ConfigError::Field { field, problem: "nothing is seen; name one input at least".to_owned() })
+        Err(TrainingConfigError::Field { field, problem: "nothing is seen; name one input at least".to_owned() })
     }
 }
 

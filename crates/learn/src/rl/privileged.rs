@@ -4,8 +4,8 @@
 //! by the mean over all scenarios that look alike at the moment; the actor, which sees what it sees, still gets the mean of what
 //! they say (asymmetric actor-critic: Pinto, Andrychowicz, Welinder, Zaremba and Abbeel, 2018).
 
-use super::config::PRIVILEGED;
-use super::environment::Episode;
+use super::config::PRIVILEGED_WIDTH;
+use super::environment::TrainingEpisode;
 use super::reward::FULL_BRAKE_MPS2;
 use super::source::EGO;
 use crumple_world::control::ControllerSpec;
@@ -20,7 +20,7 @@ const MIN_COST_MULTIPLIER: f64 = 0.01;
 #[derive(Debug)]
 pub(super) struct PrivilegedInfo<'s> {
     scenario: &'s Scenario,
-    episode_constants: [f32; PRIVILEGED - LOOKAHEAD_S.len()],
+    episode_constants: [f32; PRIVILEGED_WIDTH - LOOKAHEAD_S.len()],
 }
 
 impl<'s> PrivilegedInfo<'s> {
@@ -42,11 +42,11 @@ impl<'s> PrivilegedInfo<'s> {
             flag(behind.is_some()),
             flag(holds_its_speed),
         ];
-        Self { scenario, of_episode: of_episode.map(|number| number as f32) }
+        Self { scenario, episode_constants: of_episode.map(|number| number as f32) }
     }
 
     /// Where its episode is now.
-    pub(super) fn observe(&self, episode: &Episode) -> [f32; PRIVILEGED] {
+    pub(super) fn observe(&self, episode: &TrainingEpisode) -> [f32; PRIVILEGED_WIDTH] {
         let time_s = episode.steps_made() as f64 * PAPER_STEP_S;
         let leader = self.scenario.vehicles().iter().zip(episode.motion()).next();
         let [soon, later] = LOOKAHEAD_S.map(|ahead_s| match leader.map(|(leader, now)| (&leader.driver, now.speed_mps)) {
@@ -55,7 +55,7 @@ impl<'s> PrivilegedInfo<'s> {
             }
             _ => 0.0,
         });
-        let [costs, friction, ahead, own, behind, delay, is_there, holds] = self.of_episode;
+        let [costs, friction, ahead, own, behind, delay, is_there, holds] = self.episode_constants;
         [costs, friction, ahead, own, behind, delay, is_there, holds, soon, later]
     }
 }

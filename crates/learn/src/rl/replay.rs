@@ -40,7 +40,7 @@ pub struct TransitionLayout {
 impl TransitionLayout {
     /// All numbers of a transition.
     pub(super) fn width(self) -> usize {
-        2 * (self.state + self.privileged) + SCALAR_COUNT
+        2 * (self.state_width + self.privileged_width) + SCALAR_COUNT
     }
 }
 
@@ -144,8 +144,8 @@ impl ReplayBuffer {
     /// An empty memory for `capacity` transitions.
     #[must_use]
     pub fn new(capacity: usize, remembered: TransitionLayout) -> Self {
-        let width = remembered.numbers();
-        Self { capacity: capacity.max(1), remembered, width, stored: 0, data: Vec::new(), contacts: VecDeque::new() }
+        let width = remembered.width();
+        Self { capacity: capacity.max(1), layout: remembered, width, total_stored: 0, data: Vec::new(), contact_indices: VecDeque::new() }
     }
 
     /// Number of transitions in memory.
@@ -162,14 +162,14 @@ impl ReplayBuffer {
 
     /// Remembers a transition, in place of the oldest one if the memory is full.
     pub fn push(&mut self, transition: &Transition<'_>) {
-        let place = (self.stored % self.capacity as u64) as usize;
+        let place = (self.total_stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
         let numbers: Vec<f32> = known.chain(transition.to_scalars()).collect();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
-                if self.contacts.front() == Some(&(place as u32)) {
-                    self.contacts.pop_front();
+                if self.contact_indices.front() == Some(&(place as u32)) {
+                    self.contact_indices.pop_front();
                 }
                 oldest.iter_mut().zip(numbers).for_each(|(of_oldest, number)| *of_oldest = number);
             }
@@ -179,9 +179,9 @@ impl ReplayBuffer {
             }
         }
         if transition.contact {
-            self.contacts.push_back(place as u32);
+            self.contact_indices.push_back(place as u32);
         }
-        self.stored += 1;
+        self.total_stored += 1;
     }
 
     /// Room for all that it will ever hold, so that it never has to move to a larger place, and is held twice meanwhile. Where there is none, it
@@ -200,14 +200,14 @@ impl ReplayBuffer {
         if self.data.is_empty() {
             return;
         }
-        let of_contacts = if self.contacts.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
+        let of_contacts = if self.contact_indices.is_empty() { 0 } else { (contact_share * count as f64).round() as usize };
         for index in 0..count {
             let place = if index < of_contacts {
-                self.contacts[stream.random_range(0..self.contacts.len())] as usize
+                self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize
             } else {
                 stream.random_range(0..self.len())
             };
-            if let Some(transition) = self.at(place) {
+            if let Some(transition) = self.transition(place) {
                 batch.push(&transition);
             }
         }
@@ -216,7 +216,7 @@ impl ReplayBuffer {
     /// Everything as numbers, for a checkpoint: transitions ever stored, and the memory in order of place.
     #[must_use]
     pub(crate) fn as_raw_parts(&self) -> (u64, &[f32]) {
-        (self.stored, &self.data)
+        (self.total_stored, &self.data)
     }
 
     /// The memory of which [`ReplayBuffer::as_raw_parts`] tells; none if the numbers do not fit each other.
@@ -227,20 +227,20 @@ impl ReplayBuffer {
         stored: u64,
         numbers: Vec<f32>,
     ) -> Option<Self> {
-        let mut replay = Self { stored, data: numbers, ..Self::new(capacity, remembered) };
+        let mut replay = Self { total_stored: stored, data: numbers, ..Self::new(capacity, remembered) };
         if !replay.data.len().is_multiple_of(replay.width) || replay.len() as u64 != stored.min(capacity as u64) {
             return None;
         }
         let oldest = if replay.len() < capacity { 0 } else { (stored % capacity as u64) as usize };
         let places = (oldest..replay.len()).chain(0..oldest);
-        let is_contact = |&place: &usize| replay.at(place).is_some_and(|transition| transition.contact);
-        replay.contacts = places.filter(is_contact).map(|place| place as u32).collect();
+        let is_contact = |&place: &usize| replay.transition(place).is_some_and(|transition| transition.contact);
+        replay.contact_indices = places.filter(is_contact).map(|place| place as u32).collect();
         Some(replay)
     }
 
     fn transition(&self, place: usize) -> Option<Transition<'_>> {
         let row = self.data.get(place * self.width..(place + 1) * self.width)?;
-        Transition::from_numbers(row, self.remembered.state)
+        Transition::from_row(row, self.layout.state_width)
     }
 }
 

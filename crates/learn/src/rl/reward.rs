@@ -7,7 +7,7 @@
 use super::config::EnvironmentConfig;
 use super::costs::CostConfig;
 use super::source::EGO;
-use crumple_world::measure::{State, caused_brake_mps2};
+use crumple_world::measure::{PairState, justified_brake_mps2};
 use crumple_world::sim::{StepView, Motion, Stepper};
 
 /// Braking as hard as a car can on a dry road, in m/s²: what decelerations are relative to.
@@ -30,7 +30,7 @@ impl CostConfig {
         let wanted_m = self.standstill_m + self.headway_s * ego.speed_mps;
         let off = (gap_m - wanted_m) / wanted_m;
         let brake_mps2 = -ego.acceleration_mps2;
-        let state = State {
+        let state = PairState {
             time_s: 0.0,
             gap_m: gap_m.max(0.0),
             front_speed_mps: front.speed_mps,
@@ -45,9 +45,9 @@ impl CostConfig {
             + self.relative_speed * ((front.speed_mps - ego.speed_mps).abs() / FULL_RELATIVE_SPEED_MPS).min(1.0)
             + self.acceleration * (brake_mps2 / FULL_BRAKE_MPS2).powi(2)
             + self.jerk * (ego.acceleration_mps2 - before_mps2).abs() / step_s / FULL_JERK_MPS3
-            + self.imposed * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
-            + self.needless * (brake_mps2 - caused_brake_mps2(&state) - NEEDLESS_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
-            + self.departure * departure
+            + self.induced_braking * imposed_mps2.max(0.0) / FULL_BRAKE_MPS2
+            + self.unnecessary_braking * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2).max(0.0) / FULL_BRAKE_MPS2
+            + self.residual * departure
     }
 }
 
@@ -60,20 +60,20 @@ pub(super) struct RewardTracker {
 
 impl RewardTracker {
     pub(super) fn new(stepper: &Stepper, step_s: f64, costs: &CostConfig) -> Self {
-        Self { step_s, before_mps2: acceleration_mps2(stepper.motion()), nothing_costs: costs.is_free() }
+        Self { step_s, previous_accel_mps2: ego_accel_mps2(stepper.motion()), is_free: costs.is_free() }
     }
 
     /// The reward of the step just made, unscaled.
     #[inline]
     pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig, departure: f64) -> f64 {
-        if now.has_touched {
+        if now.has_collided {
             return config.contact_reward;
         }
-        if self.nothing_costs {
+        if self.is_free {
             return config.step_reward;
         }
-        let cost = config.costs.of(now, self.before_mps2, self.step_s, departure);
-        self.before_mps2 = acceleration_mps2(now.motion);
+        let cost = config.costs.step_cost(now, self.previous_accel_mps2, self.step_s, departure);
+        self.previous_accel_mps2 = ego_accel_mps2(now.motion);
         config.step_reward * (1.0 - cost)
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 
-use super::evaluation::{Evaluation, EvaluationSet};
+use super::evaluation::{PolicyEvaluation, EvaluationSet};
 use super::trainer::{EpisodeRecord, Trainer, TrainingError};
 use crumple_core::observer::Observer;
 
@@ -23,7 +23,7 @@ pub enum TrainingEvent {
         /// Whether this is the best policy so far.
         best: bool,
         /// How it did.
-        result: Evaluation,
+        result: PolicyEvaluation,
     },
 }
 
@@ -75,7 +75,7 @@ impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
 /// println!("{}", trainer.policy().unwrap().digest());
 /// ```
 pub fn train(trainer: &mut Trainer, held_out: &EvaluationSet, observer: &dyn Observer<TrainingEvent>) -> Result<(), TrainingError> {
-    train_recorded(trainer, held_out, &mut ForwardingRecorder(observer))
+    train_with_recorder(trainer, held_out, &mut ForwardingRecorder(observer))
 }
 
 /// Trains until the last episode, and passes events and checkpoints to `recorder`.
@@ -89,13 +89,13 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
 ) -> Result<(), E> {
     // The untrained policy is judged first: what training is worth shows against it.
     if trainer.episode() == 0 {
-        judge(trainer, held_out, recorder)?;
+        evaluate_and_record(trainer, held_out, recorder)?;
     }
     while !trainer.is_done() {
         let record = trainer.run_episode()?;
         recorder.record(&TrainingEvent::Episode(record))?;
         if trainer.is_evaluation_episode(trainer.episode()) {
-            judge(trainer, held_out, recorder)?;
+            evaluate_and_record(trainer, held_out, recorder)?;
         }
         let every = trainer.config.evaluation.every_episodes * EVALUATIONS_PER_CHECKPOINT;
         if trainer.episode().is_multiple_of(every) && !trainer.is_done() {
@@ -105,7 +105,7 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     recorder.checkpoint(trainer)?;
     // A training that ends between two evaluations is judged there besides. A longer one is not, and goes on from before that.
     if trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
-        judge(trainer, held_out, recorder)?;
+        evaluate_and_record(trainer, held_out, recorder)?;
     }
     Ok(())
 }

@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::{CONFIGURATION, finished_trainings, identity_of, seed_folder, text_of};
+use super::folder::{CONFIGURATION, read_finished_trainings, training_identity, seed_folder, config_toml};
 use super::{TrainingConfig, TrainingError};
 use crumple_core::digest::sha256;
 use crumple_store::disk;
-use crumple_store::shard::{MergeError, MissingShards, Parts, Shard, TooManyShards};
-use crumple_store::work::{Finished, Found, MANIFEST, WorkError, find};
+use crumple_store::shard::{MergeError, MissingShards, Parts, ShardId, TooManyShards};
+use crumple_store::run_folder::{CompletedRun, RunState, MANIFEST_FILE, RunFolderError, read_state};
 
 const SHARD_FILE: &str = "shard.json";
 const VERSION: u32 = 1;
@@ -29,7 +29,7 @@ const MAX_SEEDS: u64 = 100_000;
 pub enum MergeTrainingsError {
     /// A folder is damaged, or cannot be written.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// Shards of several trainings.
     #[error(transparent)]
     Merge(#[from] MergeError),
@@ -46,7 +46,7 @@ pub enum MergeTrainingsError {
 #[serde(deny_unknown_fields)]
 pub struct TrainingShard {
     version: u32,
-    shard: Shard,
+    shard: ShardId,
     /// Of how many seeds, from 0.
     seeds: u64,
     /// How they are trained, as TOML.
@@ -60,9 +60,9 @@ impl TrainingShard {
     ///
     /// # Errors
     /// [`TrainingError`] in principle, if it cannot be encoded.
-    pub fn new(shard: Shard, seeds: u64, config: &TrainingConfig) -> Result<Self, TrainingError> {
-        let whole = Self { version: VERSION, shard, seeds, configuration: text_of(config)?, sha256: String::new() };
-        Ok(Self { sha256: sha256(whole.text()?), ..whole })
+    pub fn new(shard: ShardId, seeds: u64, config: &TrainingConfig) -> Result<Self, TrainingError> {
+        let whole = Self { version: VERSION, shard, seeds, configuration: config_toml(config)?, sha256: String::new() };
+        Ok(Self { sha256: sha256(whole.to_json()?), ..whole })
     }
 
     fn to_json(&self) -> Result<String, TrainingError> {
@@ -74,11 +74,11 @@ impl TrainingShard {
     /// # Errors
     /// [`MergeTrainingsError`] if it cannot be written, or another one is there.
     pub fn write_to(&self, folder: &Path) -> Result<(), MergeTrainingsError> {
-        let path = folder.join(SHARD);
+        let path = folder.join(SHARD_FILE);
         match path.exists() {
             true if Self::read(folder)? == *self => Ok(()),
-            true => Err(damaged(&path, "there is another shard: use another --out").into()),
-            false => Ok(disk::write(&path, self.text()?).map_err(WorkError::from)?),
+            true => Err(damaged_error(&path, "there is another shard: use another --out").into()),
+            false => Ok(disk::write(&path, self.to_json()?).map_err(RunFolderError::from)?),
         }
     }
 
@@ -87,21 +87,21 @@ impl TrainingShard {
     /// # Errors
     /// [`MergeTrainingsError`] if the file is not there, or not as it was written.
     pub fn read(folder: &Path) -> Result<Self, MergeTrainingsError> {
-        let path = folder.join(SHARD);
-        let bytes = disk::read(&path, MOST_BYTES).map_err(WorkError::from)?;
-        let bytes = bytes.ok_or_else(|| damaged(&path, "the file is missing: not a shard of trainings"))?;
+        let path = folder.join(SHARD_FILE);
+        let bytes = disk::read(&path, MAX_BYTES).map_err(RunFolderError::from)?;
+        let bytes = bytes.ok_or_else(|| damaged_error(&path, "the file is missing: not a shard of trainings"))?;
         let read: Self = serde_json::from_slice(&bytes).map_err(|error| {
             let problem = format!("line {}, column {}: not as crumple writes it", error.line(), error.column());
-            damaged(&path, &problem)
+            damaged_error(&path, &problem)
         })?;
-        let whole = Self { sha256: String::new(), ..read.clone() }.text()?;
-        if read.version != VERSION || read.sha256 != sha256(whole) || read.text()?.into_bytes() != bytes {
-            return Err(damaged(&path, "not as it was written").into());
+        let whole = Self { sha256: String::new(), ..read.clone() }.to_json()?;
+        if read.version != VERSION || read.sha256 != sha256(whole) || read.to_json()?.into_bytes() != bytes {
+            return Err(damaged_error(&path, "not as it was written").into());
         }
         if read.seeds > MAX_SEEDS {
-            return Err(damaged(&path, "seeds: more than are trained").into());
+            return Err(damaged_error(&path, "seeds: more than are trained").into());
         }
-        read.range().map_err(|error| damaged(&path, &error.to_string()))?;
+        read.seed_range().map_err(|error| damaged_error(&path, &error.to_string()))?;
         Ok(read)
     }
 
@@ -118,9 +118,9 @@ impl TrainingShard {
     /// # Errors
     /// [`MergeTrainingsError`] if that is no configuration.
     pub fn config(&self, folder: &Path) -> Result<TrainingConfig, MergeTrainingsError> {
-        let path = folder.join(SHARD);
+        let path = folder.join(SHARD_FILE);
         let config = TrainingConfig::parse(&self.configuration, &path);
-        Ok(config.map_err(|error| damaged(&path, &error.to_string()))?)
+        Ok(config.map_err(|error| damaged_error(&path, &error.to_string()))?)
     }
 }
 
@@ -132,7 +132,7 @@ pub struct MergedTrainings {
     /// Of seeds.
     parts: Parts<()>,
     /// The seeds that are finished, each with the folder of its shard.
-    finished_seeds: BTreeMap<u64, (PathBuf, Finished)>,
+    finished_seeds: BTreeMap<u64, (PathBuf, CompletedRun)>,
 }
 
 impl MergedTrainings {
@@ -143,8 +143,8 @@ impl MergedTrainings {
     pub fn from_shard(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let whole = TrainingShard::read(folder)?;
         let config = whole.config(folder)?;
-        let mut merged = Self { whole, config, parts: Parts::of(folder), seeds: BTreeMap::new() };
-        merged.take(folder)?;
+        let mut merged = Self { reference: whole, config, parts: Parts::new(folder), finished_seeds: BTreeMap::new() };
+        merged.add_shard(folder)?;
         Ok(merged)
     }
 
@@ -155,34 +155,34 @@ impl MergedTrainings {
     /// to something else.
     pub fn add_shard(&mut self, folder: &Path) -> Result<(), MergeTrainingsError> {
         let shard = TrainingShard::read(folder)?;
-        let foreign = |field: &str| MergeTrainingsError::from(self.parts.foreign(folder, field.to_owned()));
-        if shard.configuration != self.whole.configuration {
+        let foreign = |field: &str| MergeTrainingsError::from(self.parts.foreign_error(folder, field.to_owned()));
+        if shard.configuration != self.reference.configuration {
             return Err(foreign("the configuration"));
         }
-        if shard.seeds != self.whole.seeds {
+        if shard.seeds != self.reference.seeds {
             return Err(foreign("the number of seeds"));
         }
-        self.parts.place(folder, shard.shard, shard.range()?, ())?;
-        for seed in shard.range()? {
+        self.parts.insert(folder, shard.shard, shard.seed_range()?, ())?;
+        for seed in shard.seed_range()? {
             let place = seed_folder(folder, seed);
             if !place.is_dir() {
                 continue;
             }
-            let Found::Finished(found) = find(&place)? else { continue };
+            let RunState::Complete(found) = read_state(&place)? else { continue };
             let is_own =
-                found.is_of(&identity_of(&self.config, seed)?) && found.read(CONFIGURATION)? == shard.configuration;
+                found.has_configuration(&training_identity(&self.config, seed)?) && found.read(CONFIGURATION)? == shard.configuration;
             if !is_own {
                 let problem = "trained otherwise than the shard says, or with another seed";
-                return Err(damaged(&place.join(CONFIGURATION), problem).into());
+                return Err(damaged_error(&place.join(CONFIGURATION), problem).into());
             }
             found.check()?;
-            match self.seeds.get(&seed) {
-                Some((taken, other)) if !other.is_same(&found) => {
+            match self.finished_seeds.get(&seed) {
+                Some((taken, other)) if !other.is_identical_to(&found) => {
                     let (folder, taken) = (folder.to_owned(), taken.clone());
-                    return Err(MergeError::Contradicting { folder, shard: shard.shard, taken }.into());
+                    return Err(MergeError::Contradicting { folder, shard: shard.shard, other_folder: taken }.into());
                 }
                 Some(_) => {}
-                None => drop(self.seeds.insert(seed, (folder.to_owned(), found))),
+                None => drop(self.finished_seeds.insert(seed, (folder.to_owned(), found))),
             }
         }
         Ok(())
@@ -197,7 +197,7 @@ impl MergedTrainings {
     /// Of how many seeds, from 0.
     #[must_use]
     pub fn seed_count(&self) -> u64 {
-        self.whole.seeds
+        self.reference.seeds
     }
 
     /// Which shards are missing. Of those that are there seeds may be missing.
@@ -211,14 +211,14 @@ impl MergedTrainings {
     /// # Errors
     /// [`MergeTrainingsError`] if there is something else: then nothing was written.
     pub fn write_to(&self, out: &Path) -> Result<(), MergeTrainingsError> {
-        for (seed, (_, found)) in &self.seeds {
-            found.is_in(&seed_folder(out, *seed))?;
+        for (seed, (_, found)) in &self.finished_seeds {
+            found.is_present_in(&seed_folder(out, *seed))?;
         }
         if out.is_dir() {
-            finished_trainings(out, &self.config)?;
+            read_finished_trainings(out, &self.config)?;
         }
-        disk::make_folder(out).map_err(WorkError::from)?;
-        for (seed, (_, found)) in &self.seeds {
+        disk::make_folder(out).map_err(RunFolderError::from)?;
+        for (seed, (_, found)) in &self.finished_seeds {
             found.copy_to(&seed_folder(out, *seed))?;
         }
         Ok(())
@@ -233,14 +233,14 @@ pub fn is_trainings_folder(folder: &Path) -> bool {
         name.is_some_and(|number| number.parse::<u64>().is_ok()) && path.is_dir()
     };
     let entries = || std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let said = || disk::read(&folder.join(SHARD), MOST_BYTES).ok().flatten();
+    let said = || disk::read(&folder.join(SHARD_FILE), MAX_BYTES).ok().flatten();
     let says_seeds = || {
         let said = said().and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
         said.is_some_and(|said| said.get("seeds").is_some())
     };
-    !folder.join(MANIFEST).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
+    !folder.join(MANIFEST_FILE).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
 }
 
-fn damaged_error(path: &Path, problem: &str) -> WorkError {
-    WorkError::Damaged { path: path.to_owned(), problem: problem.to_owned() }
+fn damaged_error(path: &Path, problem: &str) -> RunFolderError {
+    RunFolderError::Damaged { path: path.to_owned(), problem: problem.to_owned() }
 }

@@ -8,7 +8,7 @@ use rand::RngExt;
 use crumple_core::digest::{Sha256, sha256};
 
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Driver, InvalidField, PAPER_STEP_S, PaperDistribution, Scenario};
 
 /// Index of the vehicle the agent drives.
@@ -55,7 +55,7 @@ impl ScenarioSource for PaperSource {
 }
 
 /// Draws of a space by its distribution.
-impl ScenarioSource for Space {
+impl ScenarioSource for ScenarioSpace {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         Self::draw(self, seed, index)
     }
@@ -79,12 +79,12 @@ impl SourceMixture {
     /// as in its source alone.
     #[must_use]
     pub fn new(first: Arc<dyn ScenarioSource>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
-        Self { first, share: share.clamp(0.0, 1.0), otherwise }
+        Self { first, first_share: share.clamp(0.0, 1.0), second: otherwise }
     }
 
     fn source_for(&self, seed: u64, index: u64) -> &Arc<dyn ScenarioSource> {
-        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
-        if stream.random::<f64>() < self.share { &self.first } else { &self.otherwise }
+        let mut stream = random::stream(random::derived_seed(seed, MIXTURE_SEED_INDEX), Purpose::ScenarioSampling, index);
+        if stream.random::<f64>() < self.first_share { &self.first } else { &self.second }
     }
 }
 
@@ -93,20 +93,20 @@ const MIXTURE_SEED_INDEX: u64 = u64::MAX - 2;
 
 impl ScenarioSource for SourceMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        self.turn(seed, index).draw(seed, index)
+        self.source_for(seed, index).draw(seed, index)
     }
 
-    fn costs_times(&self, seed: u64, index: u64) -> f64 {
-        self.turn(seed, index).costs_times(seed, index)
+    fn cost_multiplier(&self, seed: u64, index: u64) -> f64 {
+        self.source_for(seed, index).cost_multiplier(seed, index)
     }
 
-    fn most_costs_times(&self) -> f64 {
-        self.first.most_costs_times().max(self.otherwise.most_costs_times())
+    fn max_cost_multiplier(&self) -> f64 {
+        self.first.max_cost_multiplier().max(self.second.max_cost_multiplier())
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let (first, otherwise) = (name(&self.first)?, name(&self.otherwise)?);
-        Ok(Some(format!("a share of {} of {first}, otherwise {otherwise}", self.share)))
+        let (first, otherwise) = (source_name(&self.first)?, source_name(&self.second)?);
+        Ok(Some(format!("a share of {} of {first}, otherwise {otherwise}", self.first_share)))
     }
 }
 
@@ -127,13 +127,13 @@ impl CaseMixture {
     /// included; the others are drawn from `otherwise`, and are the same episode by episode as without the cases.
     #[must_use]
     pub fn new(cases: Vec<Scenario>, share: f64, otherwise: Arc<dyn ScenarioSource>) -> Self {
-        Self { cases, share: share.clamp(0.0, 1.0), otherwise }
+        Self { cases, case_share: share.clamp(0.0, 1.0), base: otherwise }
     }
 
     /// The case whose turn it is; none if it is the other source's.
     fn case_for(&self, seed: u64, index: u64) -> Option<&Scenario> {
-        let mut stream = random::stream(random::derived_seed(seed, CASE_SEED_INDEX), Purpose::ScenarioDraw, index);
-        let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.share;
+        let mut stream = random::stream(random::derived_seed(seed, CASE_SEED_INDEX), Purpose::ScenarioSampling, index);
+        let is_turn = !self.cases.is_empty() && stream.random::<f64>() < self.case_share;
         if is_turn { self.cases.get(stream.random_range(0..self.cases.len())) } else { None }
     }
 }
@@ -143,15 +143,15 @@ const CASE_SEED_INDEX: u64 = u64::MAX - 1;
 
 impl ScenarioSource for CaseMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        self.case(seed, index).map_or_else(|| self.otherwise.draw(seed, index), |case| Ok(case.clone()))
+        self.case_for(seed, index).map_or_else(|| self.base.draw(seed, index), |case| Ok(case.clone()))
     }
 
-    fn costs_times(&self, seed: u64, index: u64) -> f64 {
-        self.case(seed, index).map_or_else(|| self.otherwise.costs_times(seed, index), |_| 1.0)
+    fn cost_multiplier(&self, seed: u64, index: u64) -> f64 {
+        self.case_for(seed, index).map_or_else(|| self.base.cost_multiplier(seed, index), |_| 1.0)
     }
 
-    fn most_costs_times(&self) -> f64 {
-        self.otherwise.most_costs_times()
+    fn max_cost_multiplier(&self) -> f64 {
+        self.base.max_cost_multiplier()
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
@@ -159,8 +159,8 @@ impl ScenarioSource for CaseMixture {
         for case in &self.cases {
             digest.update(serde_json::to_string(case.spec())?);
         }
-        let (digest, otherwise) = (digest.hexadecimal(), name(&self.otherwise)?);
-        let (share, count) = (self.share, self.cases.len());
+        let (digest, otherwise) = (digest.hexadecimal(), source_name(&self.base)?);
+        let (share, count) = (self.case_share, self.cases.len());
         Ok(Some(format!("a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}")))
     }
 }

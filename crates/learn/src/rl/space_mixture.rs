@@ -5,10 +5,10 @@ use std::sync::Arc;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::config_error::{ConfigError, within};
-use super::source::{PaperSource, ScenarioSource, unsuited};
+use super::config_error::{TrainingConfigError, check_range};
+use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::space::{Space, find_space};
+use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{InvalidField, Scenario};
 
 /// Most times that costs count.
@@ -33,7 +33,7 @@ pub struct TrainingSpace {
     /// How many of the episodes are drawn from it, relative to the weights of the others.
     pub weight: f64,
     /// How many times their weights the costs of a step count in its episodes: more where nothing is to be gained by paying them.
-    #[serde(default = "once", skip_serializing_if = "is_once")]
+    #[serde(default = "one", skip_serializing_if = "is_one")]
     #[serde(rename = "costs_times")]
     pub cost_multiplier: f64,
 }
@@ -55,7 +55,7 @@ pub struct SpaceMixture {
 
 #[derive(Debug, Clone)]
 struct SpaceComponent {
-    space: Space,
+    space: ScenarioSpace,
     share: f64,
     /// Sum of the shares up to this one.
     cumulative_share: f64,
@@ -71,67 +71,67 @@ impl SpaceMixture {
     /// # Errors
     /// [`ConfigError`] if a space is unknown, cannot be read, holds what the agent cannot be trained on or is named twice, or a weight
     /// is no positive number.
-    pub fn new(shares: &[SpaceShare]) -> Result<Self, ConfigError> {
-        check(shares)?;
+    pub fn new(shares: &[TrainingSpace]) -> Result<Self, TrainingConfigError> {
+        check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
-        for (index, SpaceShare { space: name, weight, costs_times }) in shares.iter().enumerate() {
-            let problem = |problem: String| ConfigError::Field { field: format!("spaces[{index}].space"), problem };
+        for (index, TrainingSpace { space: name, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
+            let problem = |problem: String| TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem };
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
             let first = space.draw(0, 0).map_err(|error| problem(format!("`{name}` cannot be drawn from: {error}")))?;
-            if let Some(reason) = unsuited(&first) {
+            if let Some(reason) = unsuitability(&first) {
                 return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
             }
             // One space under the names of two files is one space.
             if let Some(same) = parts.iter().position(|part| part.space.spec() == space.spec()) {
-                return Err(problem(format!("`{name}` is the space of spaces[{same}]: {ONE_WEIGHT}")));
+                return Err(problem(format!("`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}")));
             }
             let share = weight / total;
             below += share;
-            parts.push(SpaceComponent { space, share, below, costs_times: *costs_times });
+            parts.push(SpaceComponent { space, share, cumulative_share: below, cost_multiplier: *costs_times });
         }
-        Ok(Self { parts })
+        Ok(Self { components: parts })
     }
 
     /// Its spaces.
-    pub fn spaces(&self) -> impl Iterator<Item = &Space> {
-        self.parts.iter().map(|part| &part.space)
+    pub fn spaces(&self) -> impl Iterator<Item = &ScenarioSpace> {
+        self.components.iter().map(|part| &part.space)
     }
 }
 
 impl SpaceMixture {
     /// Whose turn it is; none only where there are no spaces.
     fn component_for(&self, seed: u64, index: u64) -> Option<&SpaceComponent> {
-        let mut stream = random::stream(random::derived_seed(seed, TURN), Purpose::ScenarioDraw, index);
+        let mut stream = random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
         let turn = stream.random::<f64>();
         // Shares add up to 1 but for rounding: the last one takes what is left.
-        self.parts.iter().find(|part| turn < part.below).or(self.parts.last())
+        self.components.iter().find(|part| turn < part.cumulative_share).or(self.components.last())
     }
 }
 
 impl ScenarioSource for SpaceMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
-        match self.turn(seed, index) {
+        match self.component_for(seed, index) {
             Some(part) => part.space.draw(seed, index),
             None => PaperSource.draw(seed, index),
         }
     }
 
-    fn costs_times(&self, seed: u64, index: u64) -> f64 {
-        self.turn(seed, index).map_or(1.0, |part| part.costs_times)
+    fn cost_multiplier(&self, seed: u64, index: u64) -> f64 {
+        self.component_for(seed, index).map_or(1.0, |part| part.cost_multiplier)
     }
 
-    fn most_costs_times(&self) -> f64 {
-        self.parts.iter().fold(1.0, |most, part| most.max(part.costs_times))
+    fn max_cost_multiplier(&self) -> f64 {
+        self.components.iter().fold(1.0, |most, part| most.max(part.cost_multiplier))
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let named = self.parts.iter().map(|part| {
+        let named = self.components.iter().map(|part| {
             let name = part.space.identity()?.unwrap_or_default();
-            let costs = if is_one(&part.costs_times) {
+            let costs = if is_one(&part.cost_multiplier) {
                 String::new()
             } else {
-                format!(", whose costs count {} times", part.costs_times)
+                format!(", whose costs count {} times", part.cost_multiplier)
             };
             Ok(format!("a share of {} of {name}{costs}", part.share))
         });
@@ -140,24 +140,24 @@ impl ScenarioSource for SpaceMixture {
 }
 
 /// Whether shares are in their ranges and each of another space, as far as can be told without reading a file.
-pub(super) fn check_spaces(shares: &[SpaceShare]) -> Result<(), ConfigError> {
+pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
-        let problem = format!("{MOST_SPACES} are the most, found {}", shares.len());
-        return Err(ConfigError::Field { field: "spaces".to_owned(), problem });
+        let problem = format!("{MAX_SPACES} are the most, found {}", shares.len());
+        return Err(TrainingConfigError::Field { field: "spaces".to_owned(), problem });
     }
-    for (index, SpaceShare { space, weight, costs_times }) in shares.iter().enumerate() {
-        within(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
-        within(&format!("spaces[{index}].costs_times"), *costs_times, [0.0, MAX_COST_MULTIPLIER])?;
+    for (index, TrainingSpace { space, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
+        check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
+        check_range(&format!("spaces[{index}].costs_times"), *costs_times, [0.0, MAX_COST_MULTIPLIER])?;
         if shares.iter().take(index).any(|earlier| earlier.space == *space) {
-            let problem = format!("`{space}` is named twice: {ONE_WEIGHT}");
-            return Err(ConfigError::Field { field: format!("spaces[{index}].space"), problem });
+            let problem = format!("`{space}` is named twice: {ONE_WEIGHT_HINT}");
+            return Err(TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem });
         }
     }
     Ok(())
 }
 
 /// What a training of these spaces draws from; without any, the paper's distribution.
-pub(super) fn scenario_source(shares: &[SpaceShare]) -> Result<Arc<dyn ScenarioSource>, ConfigError> {
+pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
     if shares.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(shares)?)) }
 }
 

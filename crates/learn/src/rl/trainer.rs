@@ -7,17 +7,17 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::config::{TimeLimit, TrainingConfig};
-use super::config_error::ConfigError;
-use super::environment::{Ending, Episode, Terms, bounds};
-use super::evaluation::{Evaluation, EvaluationSet};
+use super::config_error::TrainingConfigError;
+use super::environment::{EpisodeEnding, TrainingEpisode, EpisodeConfig, action_bounds};
+use super::evaluation::{PolicyEvaluation, EvaluationSet};
 use super::learner::{Learner, Losses};
 use super::privileged::PrivilegedInfo;
-use super::replay::{Batch, Replay, Transition};
-use super::source::{PaperSource, ScenarioSource, unsuited};
-use crumple_core::digits::nearest;
+use super::replay::{Batch, ReplayBuffer, Transition};
+use super::source::{PaperSource, ScenarioSource, unsuitability};
+use crumple_core::digits::format_rounded;
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{Network, POLICY_VERSION, FrameStack, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
@@ -34,7 +34,7 @@ pub enum TrainingError {
     /// The networks hold numbers that are not finite, or values no return can have.
     #[error(
         "seed {seed} diverged in episode {episode}: critic loss {}, mean value {} (no value can exceed {}); lower the learning \
-         rates or scale the reward", nearest(*critic_loss, 4), nearest(*mean_value, 4), nearest(*largest_value, 4)
+         rates or scale the reward", format_rounded(*critic_loss, 4), format_rounded(*mean_value, 4), format_rounded(*largest_value, 4)
     )]
     Diverged {
         /// Seed of the training.
@@ -50,7 +50,7 @@ pub enum TrainingError {
     },
     /// It cannot be trained so.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] TrainingConfigError),
     /// The agent cannot be trained on a scenario that was drawn.
     #[error("scenario `{name}` cannot be trained on: {problem}")]
     UnsuitableScenario {
@@ -85,7 +85,7 @@ pub enum TrainingError {
     OtherTraining(String),
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    RunFolder(#[from] WorkError),
+    RunFolder(#[from] RunFolderError),
     /// A folder, or the program that trains, cannot be read.
     #[error(transparent)]
     Disk(#[from] DiskError),
@@ -101,7 +101,7 @@ pub struct EpisodeRecord {
     /// Steps simulated.
     pub steps: usize,
     /// How it ended.
-    pub ending: Ending,
+    pub ending: EpisodeEnding,
     /// Mean critic loss of the episode's updates.
     pub critic_loss: f64,
     /// Mean value over the episode's updates.
@@ -114,7 +114,7 @@ pub struct BestPolicy {
     /// Episode after which it was taken.
     pub episode: u64,
     /// How it did.
-    pub evaluation: Evaluation,
+    pub evaluation: PolicyEvaluation,
     /// Its actor.
     pub network: Network,
 }
@@ -125,7 +125,7 @@ pub struct Trainer {
     pub(super) config: TrainingConfig,
     pub(super) seed: u64,
     pub(super) learner: Learner,
-    pub(super) replay: Replay,
+    pub(super) replay: ReplayBuffer,
     pub(super) episode: u64,
     pub(super) decisions: u64,
     pub(super) best: Option<BestPolicy>,
@@ -148,14 +148,14 @@ impl Trainer {
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
             learner: Learner::new(config, seed),
-            replay: Replay::new(config.replay.capacity, config.remembered()),
+            replay: ReplayBuffer::new(config.replay.capacity, config.transition_layout()),
             config: config.clone(),
             seed,
             episode: 0,
             decisions: 0,
             best: None,
             mastered: false,
-            mean: None,
+            weight_average: None,
             source,
             batch: Batch::default(),
         }
@@ -212,7 +212,7 @@ impl Trainer {
     /// Whether an evaluation is due after an episode, however many come after it.
     pub(super) fn is_evaluation_episode(&self, episode: u64) -> bool {
         episode.is_multiple_of(self.config.evaluation.every_episodes)
-            && episode > self.config.exploration.random_episodes
+            && episode > self.config.exploration.learning_starts_episode
     }
 
     /// Drives and learns from one episode.
@@ -225,35 +225,35 @@ impl Trainer {
         // The stream of training draws has a seed of its own, apart from every seed a user may assess with.
         let draws_seed = random::derived_seed(self.seed, u64::MAX);
         let scenario = self.source.draw(draws_seed, index)?;
-        if let Some(problem) = unsuited(&scenario) {
-            return Err(TrainingError::Unsuited { name: scenario.spec().name.clone(), problem });
+        if let Some(problem) = unsuitability(&scenario) {
+            return Err(TrainingError::UnsuitableScenario { name: scenario.spec().name.clone(), problem });
         }
         // The ego's own controller is never asked: every step is commanded.
         let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
             .with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
-        let terms = Terms::new(self.config.environment.clone(), self.config.learning.discount);
-        let mut episode = Episode::new(&run, &terms.of_episode(self.source.as_ref(), draws_seed, index));
+        let terms = EpisodeConfig::new(self.config.environment.clone(), self.config.learning.discount);
+        let mut episode = TrainingEpisode::new(&run, &terms.for_episode(self.source.as_ref(), draws_seed, index));
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
-        let mut draws = random::stream(self.seed, Purpose::ReplayDraw, index);
+        let mut draws = random::stream(self.seed, Purpose::ReplaySampling, index);
         let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
-        let learned_episodes = index.checked_sub(self.config.exploration.random_episodes);
+        let learned_episodes = index.checked_sub(self.config.exploration.learning_starts_episode);
         let noise = learned_episodes.map(|episodes| {
             let decay = self.config.exploration.noise_decay.powf(episodes as f64);
             (self.config.exploration.noise * decay) as f32
         });
-        if let Some(fall) = &self.config.learning.rates_fall {
-            self.learner.rate_share = fall.share(index, self.config.exploration.random_episodes) as f32;
+        if let Some(fall) = &self.config.learning.lr_decay {
+            self.learner.lr_factor = fall.factor(index, self.config.exploration.learning_starts_episode) as f32;
         }
         let (mut sums, mut updates) = (Losses::default(), 0_u32);
         let decisions_held =
-            u64::from(self.config.exploration.random_hold_steps / self.config.environment.decision_steps).max(1);
+            u64::from(self.config.exploration.random_hold_steps / self.config.environment.action_repeat).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
-        let back = self.config.environment.observation.back();
+        let back = self.config.environment.observation.frames_and_stride();
         let mut past = FrameStack::default();
-        let privileged = PrivilegedInfo::new(&scenario, self.source.costs_times(draws_seed, index));
+        let privileged = PrivilegedInfo::new(&scenario, self.source.cost_multiplier(draws_seed, index));
         let is_privileged = self.config.learning.privileged_critic;
-        let known_besides = |episode: &Episode| is_privileged.then(|| privileged.at(episode));
+        let known_besides = |episode: &TrainingEpisode| is_privileged.then(|| privileged.observe(episode));
         let mut state = past.push(back, &episode.state()).to_vec();
         let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {
@@ -270,7 +270,7 @@ impl Trainer {
                     (chosen + noise * normal).clamp(-1.0, 1.0)
                 }
             };
-            let after = episode.decide(action);
+            let after = episode.step(action);
             let next_state = past.push(back, &after.next_state);
             besides.extend(known_besides(&episode).into_iter().flatten());
             self.replay.push(&Transition {
@@ -280,7 +280,7 @@ impl Trainer {
                 action,
                 reward: after.reward,
                 continues: after.continues,
-                contact: after.ending == Ending::Contact,
+                contact: after.ending == EpisodeEnding::Contact,
             });
             state.copy_from_slice(next_state);
             besides.drain(..besides.len() / 2);
@@ -288,7 +288,7 @@ impl Trainer {
             let learning = &self.config.learning;
             let is_due = self.decisions.is_multiple_of(u64::from(learning.decisions_per_update));
             if noise.is_some() && is_due && self.replay.len() >= learning.batch {
-                let share = self.config.replay.contact_share;
+                let share = self.config.replay.collision_fraction;
                 self.replay.sample(&mut draws, learning.batch, share, &mut self.batch);
                 let losses = self.learner.update(&self.batch, &mut target_noise);
                 sums.critic += losses.critic;
@@ -296,7 +296,7 @@ impl Trainer {
                 updates += 1;
                 self.update_weight_average();
             }
-            if after.ending != Ending::None {
+            if after.ending != EpisodeEnding::None {
                 break after.ending;
             }
         };
@@ -316,14 +316,14 @@ impl Trainer {
 
     fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
         let environment = &self.config.environment;
-        let each = environment.step_reward * f64::from(environment.decision_steps);
+        let each = environment.step_reward * f64::from(environment.action_repeat);
         let discounted = each / (1.0 - self.config.learning.discount);
         // Where life ends with the episode, no value exceeds what one episode pays.
         let paid = match environment.time_limit {
             TimeLimit::Truncation => discounted,
-            TimeLimit::End => discounted.min(steps as f64 * environment.step_reward),
+            TimeLimit::Termination => discounted.min(steps as f64 * environment.step_reward),
         };
-        let most_cost = (self.source.most_costs_times() * environment.costs.largest()).max(1.0);
+        let most_cost = (self.source.max_cost_multiplier() * environment.costs.max_cost()).max(1.0);
         let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // The rectifier turns NaN into 0, so a network can be broken while its outputs look sound.
@@ -341,8 +341,8 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.
-    pub fn evaluate(&mut self, held_out: &EvaluationSet) -> Result<Evaluation, TrainingError> {
-        let network = self.judged().clone();
+    pub fn evaluate(&mut self, held_out: &EvaluationSet) -> Result<PolicyEvaluation, TrainingError> {
+        let network = self.evaluation_network().clone();
         let policy = Arc::new(self.build_policy(network.clone(), self.episode)?);
         let evaluation = held_out.evaluate(&policy)?;
         let better = self.best.as_ref().is_none_or(|best| evaluation.score() > best.evaluation.score());
@@ -361,23 +361,23 @@ impl Trainer {
     pub fn policy(&self) -> Result<Policy, TrainingError> {
         match &self.best {
             Some(best) => self.build_policy(best.network.clone(), best.episode),
-            None => self.build_policy(self.judged().clone(), self.episode),
+            None => self.build_policy(self.evaluation_network().clone(), self.episode),
         }
     }
 
     /// The actor that drives where nothing is tried out.
     fn evaluation_network(&self) -> &Network {
-        self.mean.as_ref().unwrap_or(&self.learner.actor.network)
+        self.weight_average.as_ref().unwrap_or(&self.learner.actor.network)
     }
 
     /// The actor's weights after an update become part of their mean: a plain one over the first updates, one that forgets after that.
     fn update_weight_average(&mut self) {
-        let over = self.config.evaluation.mean_over_updates;
+        let over = self.config.evaluation.weight_average_updates;
         if over == 0 {
             return;
         }
         let actor = &self.learner.actor.network;
-        let mean = self.mean.get_or_insert_with(|| actor.clone());
+        let mean = self.weight_average.get_or_insert_with(|| actor.clone());
         let share = 1.0 / self.learner.updates.clamp(1, over) as f32;
         for (mean, &weight) in mean.parameters_mut().iter_mut().zip(actor.parameters()) {
             *mean += share * (weight - *mean);
@@ -394,8 +394,8 @@ impl Trainer {
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
             hidden: self.config.network.hidden.clone(),
             observation: self.config.environment.observation.scaling(),
-            action: bounds(&self.config.environment),
-            decision_interval_s: f64::from(self.config.environment.decision_steps) * PAPER_STEP_S,
+            action: action_bounds(&self.config.environment),
+            decision_interval_s: f64::from(self.config.environment.action_repeat) * PAPER_STEP_S,
             estimator: self.config.environment.estimator,
             seed: self.seed,
             episode,

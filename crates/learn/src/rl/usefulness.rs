@@ -3,11 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Usefulness;
+use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch};
 
 use super::source::EGO;
 
@@ -48,7 +48,7 @@ impl TrafficUsefulness {
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
         let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
-        (self.contacts + self.hard + self.left_behind) as f64 / self.drives.max(1) as f64 + EXCESS_WEIGHT * excess
+        (self.contacts + self.hard_braking + self.left_behind) as f64 / self.drives.max(1) as f64 + EXCESS_WEIGHT * excess
     }
 }
 
@@ -66,24 +66,24 @@ impl TrafficBenchmark {
         let space = built_in_space("traffic");
         let draws =
             space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
-        let mut traffic = Self { draws, estimator, idm: [1.0; 2] };
-        let idm = traffic.sums(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
-        traffic.idm = idm.rms();
+        let mut traffic = Self { draws, estimator, idm_rms: [1.0; 2] };
+        let idm = traffic.simulate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
+        traffic.idm_rms = idm.rms();
         Ok(traffic)
     }
 
     /// Drives a controller through all of them.
     pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
-        let sums = self.sums(controller)?;
-        let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm);
+        let sums = self.simulate(controller)?;
+        let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm_rms);
         Ok(TrafficUsefulness {
             drives: sums.drives,
             contacts: sums.contacts,
-            hard: sums.hard,
+            hard_braking: sums.hard_braking,
             left_behind: sums.left_behind,
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
-            mean_time_gap_s: sums.time_gap_s / sums.moved.max(1) as f64,
+            mean_time_gap_s: sums.time_gap_sum_s / sums.moving_drives.max(1) as f64,
         })
     }
 
@@ -92,7 +92,7 @@ impl TrafficBenchmark {
         let runs =
             self.draws.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            (result.outcome.contact().is_some(), usefulness(&result))
+            (result.outcome.contact().is_some(), measure_usefulness(&result))
         });
         let mut sums = TrafficTotals::default();
         each.into_iter().for_each(|(touched, found)| sums.add(touched, found));
@@ -101,8 +101,8 @@ impl TrafficBenchmark {
 }
 
 /// What the driving of a run was of use for; none without its trace.
-pub(crate) fn measure_usefulness(result: &Simulated) -> Option<Usefulness> {
-    Usefulness::of(result.trace.as_ref()?, &result.impacts, EGO)
+pub(crate) fn measure_usefulness(result: &SimulationResult) -> Option<UsefulnessMeasures> {
+    UsefulnessMeasures::from_trace(result.trace.as_ref()?, &result.impacts, EGO)
 }
 
 #[derive(Default)]
@@ -117,23 +117,23 @@ struct TrafficTotals {
 }
 
 impl TrafficTotals {
-    fn add(&mut self, touched: bool, found: Option<Usefulness>) {
+    fn add(&mut self, touched: bool, found: Option<UsefulnessMeasures>) {
         self.drives += 1;
         self.contacts += u64::from(touched);
         let Some(found) = found else { return };
-        self.hard += u64::from(!found.hard.is_none());
-        self.squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
-        self.squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+        self.hard_braking += u64::from(!found.hard.is_empty());
+        self.sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+        self.sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
         let Some(following) = found.following else { return };
         self.left_behind += u64::from(following.left_behind);
         if let Some(time_gap_s) = following.mean_time_gap_s {
-            self.time_gap_s += time_gap_s;
-            self.moved += 1;
+            self.time_gap_sum_s += time_gap_s;
+            self.moving_drives += 1;
         }
     }
 
     fn rms(&self) -> [f64; 2] {
-        self.squares.map(|sum| (sum / self.drives.max(1) as f64).sqrt())
+        self.sum_squares.map(|sum| (sum / self.drives.max(1) as f64).sqrt())
     }
 }
 
