@@ -9,7 +9,7 @@ use std::path::Path;
 use super::TestCase;
 use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{Simulated, Track};
+use crumple_world::sim::{SimulationResult, Track};
 
 /// Smallest gaps that are told apart, in metres.
 const GAP_BINS_M: [f64; 12] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0];
@@ -34,7 +34,7 @@ pub const FEATURE_COUNT: usize =
 
 /// The features of a run, each below [`FEATURES`].
 #[must_use]
-pub(crate) fn extract_features(test_case: &TestCase, result: &Simulated) -> Vec<usize> {
+pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) -> Vec<usize> {
     let mut found = Vec::new();
     let mut start = 0;
     let mut group = |size: usize, value: Option<usize>| {
@@ -55,18 +55,18 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &Simulated) -> Vec<
         group(BRAKE_ONSET_BINS, track.filter(|_| !is_scripted).map(|track| full_braking_onsets(track, limit_mps2)));
     }
     let first = result.outcome.contact();
-    let of_role = |role| first.filter(|contact| ContactRole::of(contact, &test_case.scenario) == role);
+    let of_role = |role| first.filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
     for role in [ContactRole::Hits, ContactRole::IsHit, ContactRole::Bystander] {
         group(VEHICLE_BINS, of_role(role).map(|contact| contact.rear_vehicle));
         group(IMPACT_BINS, of_role(role).map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize));
     }
-    group(KIND_BINS, failure(test_case, result).map(|kind| place(&kind)));
-    found.extend(approaches(test_case, result).map(|kind| start + place(&kind)));
+    group(KIND_BINS, collision_kind(test_case, result).map(|kind| kind_bin(&kind)));
+    found.extend(approach_kinds(test_case, result).map(|kind| start + kind_bin(&kind)));
     found
 }
 
 /// How near each pair came to each other, and who drives the two.
-fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a Simulated) -> impl Iterator<Item = String> + 'a {
+fn approach_kinds<'a>(test_case: &'a TestCase, result: &'a SimulationResult) -> impl Iterator<Item = String> + 'a {
     let vehicles = test_case.scenario.vehicles();
     let pairs = vehicles.windows(2).zip(result.vehicles.iter().skip(1)).enumerate();
     pairs.filter_map(move |(index, (pair, summary))| {
@@ -94,11 +94,11 @@ fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
 /// A name for the kind of collision a run ended in, the same for collisions that tell a reader the same: who is under
 /// test, who hits whom in how long a line, how hard. None if no vehicle under test touched anything.
 #[must_use]
-pub(crate) fn collision_kind(test_case: &TestCase, result: &Simulated) -> Option<String> {
+pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) -> Option<String> {
     let contact = result.outcome.contact()?;
     let vehicles = test_case.scenario.vehicles();
     let name = |index: usize| vehicles.get(index).map_or("nobody", |vehicle| vehicle.driver.name());
-    let verb = match ContactRole::of(contact, &test_case.scenario) {
+    let verb = match ContactRole::new(contact, &test_case.scenario) {
         ContactRole::Hits => "hits",
         ContactRole::IsHit => "hit-by",
         ContactRole::Bystander => return None,

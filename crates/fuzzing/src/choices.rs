@@ -19,7 +19,7 @@ impl<'b> Choices<'b> {
     }
 
     pub(super) fn read_sub_block(&mut self, bytes: usize) -> Self {
-        Self::block(&mut self.0, bytes)
+        Self::read_block(&mut self.0, bytes)
     }
 
     pub(super) fn byte(&mut self) -> u8 {
@@ -38,7 +38,7 @@ impl<'b> Choices<'b> {
 
     /// From 0, which is nominal, to `most`.
     pub(super) fn up_to(&mut self, most: f64) -> f64 {
-        most * self.share()
+        most * self.unit_interval()
     }
 
     /// A number about `nominal`, up to either end of a range: the lowest bit says to which side.
@@ -57,7 +57,7 @@ impl<'b> Choices<'b> {
 
     /// A value instead of the nominal none, in about `times` of 256 cases.
     pub(super) fn optional(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
-        let happens = self.happens(times);
+        let happens = self.chance(times);
         let value = value(self);
         happens.then_some(value)
     }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{TestCase, behaviour};
-use crumple_world::sim::Simulated;
+use crumple_world::sim::SimulationResult;
 
 /// A folder of scenario files, each named after the collision in it.
 #[derive(Debug, Clone)]
@@ -27,8 +27,8 @@ impl CollisionCorpus {
     ///
     /// # Errors
     /// What the system says if it cannot be written.
-    pub(crate) fn insert(&self, test_case: &TestCase, result: &Simulated) -> io::Result<Option<PathBuf>> {
-        let Some(kind) = behaviour::failure(test_case, result) else { return Ok(None) };
+    pub(crate) fn insert(&self, test_case: &TestCase, result: &SimulationResult) -> io::Result<Option<PathBuf>> {
+        let Some(kind) = behaviour::collision_kind(test_case, result) else { return Ok(None) };
         let path = self.folder.join(format!("{kind}.toml"));
         if path.exists() {
             return Ok(None);

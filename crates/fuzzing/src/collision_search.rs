@@ -64,10 +64,10 @@ impl CollisionSearch {
     /// decisions, or if the folder cannot be created.
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         Ok(Self {
-            controller: if controller == "any" { None } else { Some(tested(controller)?) },
-            collisions: collisions.map(CollisionCorpus::in_folder).transpose()?,
-            seen: (0..behaviour::FEATURES).map(|_| AtomicBool::new(false)).collect(),
-            inputs: AtomicUsize::new(0),
+            controller: if controller == "any" { None } else { Some(find_controller(controller)?) },
+            collisions: collisions.map(CollisionCorpus::open).transpose()?,
+            seen_features: (0..behaviour::FEATURE_COUNT).map(|_| AtomicBool::new(false)).collect(),
+            input_count: AtomicUsize::new(0),
         })
     }
 
@@ -81,7 +81,7 @@ impl CollisionSearch {
             {
                 test_case.scenario = scenario;
             }
-            test_case = test_case.under_test(controller.clone());
+            test_case = test_case.with_controller(controller.clone());
         }
         test_case
     }
@@ -96,19 +96,19 @@ impl CollisionSearch {
     pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
-        if let Err(RunError::Shield { .. } | RunError::Needs { .. }) = Run::new(&test_case.scenario, options) {
+        if let Err(RunError::Shield { .. } | RunError::MissingNeighbour { .. }) = Run::new(&test_case.scenario, options) {
             return Ok(Vec::new());
         }
         let result = test_case.check_run(&Crumple)?;
-        let features = behaviour::features(&test_case, &result);
-        let is_new = |&feature: &usize| self.seen.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
+        let features = behaviour::extract_features(&test_case, &result);
+        let is_new = |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
         // Every feature is marked, so no short cut.
         let news = features.iter().filter(|feature| is_new(feature)).count();
-        if news > 0 || self.inputs.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
-            test_case.examine(&Crumple)?;
+        if news > 0 || self.input_count.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
+            test_case.check_all(&Crumple)?;
         }
         if let Some(collisions) = &self.collisions {
-            collisions.keep(&test_case, &result)?;
+            collisions.insert(&test_case, &result)?;
         }
         Ok(features)
     }
@@ -117,9 +117,9 @@ impl CollisionSearch {
 /// Returns a controller that runs in this process, by its name.
 fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {
     let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
-    let controller = TestedController::named(name).map_err(|error| match error {
+    let controller = TestedController::from_name(name).map_err(|error| match error {
         // A build without processes refuses FMUs by itself, without saying what to do.
-        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::NoProcesses, .. }) => other_process(),
+        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::ProcessFeatureDisabled, .. }) => other_process(),
         other => other.into(),
     })?;
     if controller.is_process() {

@@ -3,9 +3,9 @@
 use std::sync::LazyLock;
 
 use super::choices::Choices;
-use super::shape::Kind;
+use super::shape::DriverKind;
 use crumple_world::control::{ControllerSpec, Role};
-use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, Pieces, RampBrake, Recorded, VehicleSpec};
+use crumple_world::scenario::{Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec};
 
 /// Bytes that a driver is read from.
 pub(super) const DRIVER_BYTES: usize = 26;
@@ -13,11 +13,11 @@ pub(super) const DRIVER_BYTES: usize = 26;
 const MAX_ENTRIES: u8 = 5;
 
 /// A driver of a sort.
-pub(super) fn read_driver(kind: Kind, choices: &mut Choices<'_>) -> Driver {
+pub(super) fn read_driver(kind: DriverKind, choices: &mut Choices<'_>) -> Driver {
     match kind {
-        Kind::UnderTest => Driver::UnderTest,
-        Kind::Profile(index) => Driver::Profile(read_profile(index, choices)),
-        Kind::Controller(index) => Driver::Controller(read_controller(index, choices)),
+        DriverKind::UnderTest => Driver::UnderTest,
+        DriverKind::Profile(index) => Driver::Profile(read_profile(index, choices)),
+        DriverKind::Controller(index) => Driver::Controller(read_controller(index, choices)),
     }
 }
 
@@ -35,16 +35,16 @@ pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> ControllerSpec {
 
 fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
     // The paper's leader brakes at 3 m/s² from 1 s on.
-    let onset_s = |choices: &mut Choices<'_>| choices.about(1.0, [0.0, 3.0]);
-    let rate_mps2 = |choices: &mut Choices<'_>| choices.about(3.0, [0.0, 9.0]);
+    let onset_s = |choices: &mut Choices<'_>| choices.around(1.0, [0.0, 3.0]);
+    let rate_mps2 = |choices: &mut Choices<'_>| choices.around(3.0, [0.0, 9.0]);
     match index {
         0 => LeadProfile::ConstantSpeed,
         1 => LeadProfile::Brake(Brake { onset_s: onset_s(choices), rate_mps2: rate_mps2(choices) }),
         2 => LeadProfile::RampBrake(RampBrake {
             onset_s: onset_s(choices),
             rate_mps2: rate_mps2(choices),
-            ramp_s: choices.about(1.5, [0.0, 2.0]),
-            release_s: choices.sometimes(128, |choices| choices.up_to(1.0)).unwrap_or_default(),
+            ramp_s: choices.around(1.5, [0.0, 2.0]),
+            release_s: choices.optional(128, |choices| choices.up_to(1.0)).unwrap_or_default(),
         }),
         3 => LeadProfile::BrakeToSpeed(BrakeToSpeed {
             onset_s: onset_s(choices),
@@ -52,31 +52,31 @@ fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
             final_speed_mps: choices.up_to(30.0),
         }),
         4 => {
-            let (from_s, accel_mps2) = series(choices, 0.0, [-9.0, 4.0]);
-            LeadProfile::Pieces(Pieces { from_s, accel_mps2 })
+            let (from_s, accel_mps2) = read_series(choices, 0.0, [-9.0, 4.0]);
+            LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })
         }
         _ => {
-            let (time_s, speed_mps) = series(choices, 25.0, [0.0, 40.0]);
-            LeadProfile::Recorded(Recorded { time_s, speed_mps })
+            let (time_s, speed_mps) = read_series(choices, 25.0, [0.0, 40.0]);
+            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
         }
     }
 }
 
 /// Increasing times, and a value at each.
 fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
-    let entries = 1 + choices.byte() % MOST_ENTRIES;
+    let entries = 1 + choices.byte() % MAX_ENTRIES;
     let mut time_s = 0.0;
     (0..entries)
         .map(|_| {
-            time_s += choices.about(0.5, [0.001, 1.0]);
-            (time_s, choices.about(nominal, range))
+            time_s += choices.around(0.5, [0.001, 1.0]);
+            (time_s, choices.around(nominal, range))
         })
         .unzip()
 }
 
 /// Sorts of controllers: the rules, and the reference policy.
 pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
-    let rules = ControllerSpec::built_in().into_iter().filter(|spec| spec.role() <= Role::Reference);
+    let rules = ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference);
     rules.chain([ControllerSpec::Policy(Default::default())]).collect()
 });
 
@@ -84,7 +84,7 @@ fn read_controller(index: u8, choices: &mut Choices<'_>) -> ControllerSpec {
     let mut spec = CONTROLLERS[usize::from(index) % CONTROLLERS.len()].clone();
     for (place, field) in spec.fields().iter().enumerate() {
         if let Some(value) = spec.get_mut(place) {
-            *value = choices.about(*value, field.usual);
+            *value = choices.around(*value, field.typical_range);
         }
     }
     spec

@@ -1,7 +1,7 @@
 //! Formulas of signal temporal logic from bytes.
 
 use super::choices::Choices;
-use crumple_world::measure::stl::{Comparison, Formula, FormulaError, Interval, Relation};
+use crumple_world::measure::stl::{LinearPredicate, Formula, FormulaError, TimeWindow, ComparisonOp};
 
 /// How deep formulas nest.
 const MAX_DEPTH: u32 = 3;
@@ -11,7 +11,7 @@ const MAX_DEPTH: u32 = 3;
 /// # Errors
 /// [`FormulaError`] if a signal's name cannot be written in a formula.
 pub fn formula_from_bytes(bytes: &[u8], names: &[&str], step_s: f64) -> Result<Formula, FormulaError> {
-    Source { choices: Choices::new(bytes), names, step_s }.formula(MAX_DEPTH)
+    FormulaReader { choices: Choices::new(bytes), names, step_s }.formula(MAX_DEPTH)
 }
 
 struct FormulaReader<'a> {
@@ -20,7 +20,7 @@ struct FormulaReader<'a> {
     step_s: f64,
 }
 
-impl Source<'_> {
+impl FormulaReader<'_> {
     fn formula(&mut self, depth: u32) -> Result<Formula, FormulaError> {
         let kind = if depth == 0 { 0 } else { self.choices.byte() % 8 };
         Ok(match kind {
@@ -39,25 +39,25 @@ impl Source<'_> {
         self.formula(depth - 1).map(Box::new)
     }
 
-    fn comparison(&mut self) -> Result<Comparison, FormulaError> {
-        let relations = [Relation::Above, Relation::AtLeast, Relation::Below, Relation::AtMost];
-        let relation = self.choices.one_of(&relations).unwrap_or(Relation::Above);
-        let name = self.choices.one_of(self.names).unwrap_or("x");
-        let other = self.choices.one_of(self.names).unwrap_or("x");
-        let weight = self.choices.about(1.0, [-2.0, 2.0]);
+    fn comparison(&mut self) -> Result<LinearPredicate, FormulaError> {
+        let relations = [ComparisonOp::Above, ComparisonOp::AtLeast, ComparisonOp::Below, ComparisonOp::AtMost];
+        let relation = self.choices.choose(&relations).unwrap_or(ComparisonOp::Above);
+        let name = self.choices.choose(self.names).unwrap_or("x");
+        let other = self.choices.choose(self.names).unwrap_or("x");
+        let weight = self.choices.around(1.0, [-2.0, 2.0]);
         let weight = if weight == 0.0 { 1.0 } else { weight };
-        let bound = self.choices.about(0.0, [-30.0, 30.0]);
-        let single = name == other || self.choices.happens(128);
+        let bound = self.choices.around(0.0, [-30.0, 30.0]);
+        let single = name == other || self.choices.chance(128);
         let terms = [(weight, name.to_owned()), (-1.0, other.to_owned())];
-        Comparison::new(terms.into_iter().take(if single { 1 } else { 2 }), relation, bound)
+        LinearPredicate::new(terms.into_iter().take(if single { 1 } else { 2 }), relation, bound)
     }
 
-    fn window(&mut self) -> Result<Interval, FormulaError> {
+    fn window(&mut self) -> Result<TimeWindow, FormulaError> {
         let (first, more) = (self.choices.byte() % 12, self.choices.byte());
         if more == 0 {
-            return Ok(Interval::ALL);
+            return Ok(TimeWindow::ALL);
         }
         let at = |steps: u8| f64::from(steps) * self.step_s;
-        Interval::new(at(first), at(first + more % 25))
+        TimeWindow::new(at(first), at(first + more % 25))
     }
 }

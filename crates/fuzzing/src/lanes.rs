@@ -3,22 +3,22 @@
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::shape::MOST_VEHICLES;
+use super::shape::MAX_VEHICLES;
 use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 /// For each vehicle whether, by what and when it enters, then the same of leaving.
 const CHANGE_BYTES: usize = 4;
 
 /// Bytes that changes of lanes are read from.
-pub(crate) const LANE_BYTES: usize = MOST_VEHICLES * 2 * CHANGE_BYTES;
+pub(crate) const LANE_BYTES: usize = MAX_VEHICLES * 2 * CHANGE_BYTES;
 
 /// The scenario with changes of lanes, as far as they are valid: only scripted vehicles change lanes. No bytes leave it as it is.
 pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
-    let mut choices = Choices::block(from, LANE_BYTES);
+    let mut choices = Choices::read_block(from, LANE_BYTES);
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];
-    (0..MOST_VEHICLES * places.len()).fold(scenario, |scenario, index| {
-        let change = change(&mut choices.read_sub_block(CHANGE_BYTES), scenario.spec().duration_s);
+    (0..MAX_VEHICLES * places.len()).fold(scenario, |scenario, index| {
+        let change = read_lane_change(&mut choices.read_sub_block(CHANGE_BYTES), scenario.spec().duration_s);
         let (vehicle, place) = (index / places.len(), places[index % places.len()]);
         let set = |spec: &mut ScenarioSpec| {
             if let Some(vehicle) = spec.vehicles.get_mut(vehicle) {
@@ -33,12 +33,12 @@ pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>)
 }
 
 fn read_lane_change(choices: &mut Choices<'_>, duration_s: f64) -> Option<LaneChange> {
-    let happens = choices.happens(128);
+    let happens = choices.chance(128);
     let kind = choices.byte() % 3;
     let change = match kind {
         0 => LaneChange::At(choices.up_to(duration_s)),
-        1 => LaneChange::Gap(choices.about(10.0, [0.5, 40.0])),
-        _ => LaneChange::TimeToCollision(choices.about(2.0, [0.1, 8.0])),
+        1 => LaneChange::Gap(choices.around(10.0, [0.5, 40.0])),
+        _ => LaneChange::TimeToCollision(choices.around(2.0, [0.1, 8.0])),
     };
     happens.then_some(change)
 }

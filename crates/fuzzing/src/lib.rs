@@ -30,19 +30,19 @@ use arbitrary::{Arbitrary, Unstructured};
 
 pub(crate) use collection::CollisionCorpus;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
-pub use driver::{CONTROLLERS, controller, profile, script};
-pub use formula::any_formula;
+pub use driver::{CONTROLLERS, controller_from_bytes, profile_from_bytes, make_scripted};
+pub use formula::formula_from_bytes;
 pub(crate) use lanes::{LANE_BYTES, with_lane_changes};
 pub(crate) use oracle::RUN_ORACLE_COUNT;
-pub use oracle::{Checked, LANE_ORACLES, ORACLES, Oracle, Question};
-pub use scenario::{SCENARIO_BYTES, scenario, scenario_of};
-pub use setup::{ControllerByName, SETUP_BYTES, Setup, TestedController};
-pub use shape::{Kind, Shape};
-pub use system::{Crumple, FileFormat, Sight, System};
-pub use violation::{Law, Violation};
+pub use oracle::{OracleOutcome, LANE_ORACLES, ORACLES, OracleFn, OracleContext};
+pub use scenario::{SCENARIO_BYTES, read_scenario, read_scenario_of_shape};
+pub use setup::{ControllerByName, SETUP_BYTES, RunSetup, TestedController};
+pub use shape::{DriverKind, ScenarioShape};
+pub use system::{Crumple, ScenarioFormat, ObservationSample, System};
+pub use violation::{Invariant, Violation};
 
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::Simulated;
+use crumple_world::sim::SimulationResult;
 
 /// Bytes that a test case is read from.
 pub const TEST_CASE_BYTES: usize = SCENARIO_BYTES + SETUP_BYTES;
@@ -56,12 +56,12 @@ pub struct TestCase {
     /// What happens.
     pub scenario: Scenario,
     /// Who is under test, and how it is simulated.
-    pub setup: Setup,
+    pub setup: RunSetup,
 }
 
 impl<'b> Arbitrary<'b> for TestCase {
     fn arbitrary(from: &mut Unstructured<'b>) -> arbitrary::Result<Self> {
-        Ok(Self { scenario: scenario(from), setup: Setup::read(from) })
+        Ok(Self { scenario: read_scenario(from), setup: RunSetup::read(from) })
     }
 
     fn size_hint(_depth: usize) -> (usize, Option<usize>) {
@@ -80,14 +80,14 @@ impl TestCase {
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
-        Self { scenario: scenario(&mut from), setup: Setup::read(&mut from) }
+        Self { scenario: read_scenario(&mut from), setup: RunSetup::read(&mut from) }
     }
 
     /// The test case that bytes stand for, with changes of lanes after the others; without them it is that of [`TestCase::from_bytes`].
     #[must_use]
     pub fn from_bytes_with_lanes(bytes: &[u8]) -> Self {
         let mut from = Unstructured::new(bytes);
-        let (scenario, setup) = (scenario(&mut from), Setup::read(&mut from));
+        let (scenario, setup) = (read_scenario(&mut from), RunSetup::read(&mut from));
         Self { scenario: with_lane_changes(scenario, &mut from), setup }
     }
 
@@ -102,7 +102,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub fn check_all(&self, system: &dyn System) -> Result<Simulated, Violation> {
+    pub fn check_all(&self, system: &dyn System) -> Result<SimulationResult, Violation> {
         self.check_each(&ORACLES, system)
     }
 
@@ -110,7 +110,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn check_lanes(&self, system: &dyn System) -> Result<Simulated, Violation> {
+    pub(crate) fn check_lanes(&self, system: &dyn System) -> Result<SimulationResult, Violation> {
         self.check_each(&LANE_ORACLES, system)
     }
 
@@ -118,14 +118,14 @@ impl TestCase {
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn check_run(&self, system: &dyn System) -> Result<Simulated, Violation> {
+    pub(crate) fn check_run(&self, system: &dyn System) -> Result<SimulationResult, Violation> {
         self.check_each(&ORACLES[..RUN_ORACLE_COUNT], system)
     }
 
-    fn check_each(&self, oracles: &[Oracle], system: &dyn System) -> Result<Simulated, Violation> {
-        let question = Question::new(self, system)?;
+    fn check_each(&self, oracles: &[OracleFn], system: &dyn System) -> Result<SimulationResult, Violation> {
+        let question = OracleContext::new(self, system)?;
         for &oracle in oracles {
-            question.ask(oracle)?;
+            question.check(oracle)?;
         }
         Ok(question.result)
     }
@@ -134,7 +134,7 @@ impl TestCase {
     ///
     /// # Errors
     /// The [`Violation`] it found.
-    pub fn check(&self, oracle: Oracle, system: &dyn System) -> Result<Checked, Violation> {
-        Question::new(self, system)?.ask(oracle)
+    pub fn check(&self, oracle: OracleFn, system: &dyn System) -> Result<OracleOutcome, Violation> {
+        OracleContext::new(self, system)?.check(oracle)
     }
 }

@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_store::work::{Examined, examine};
+use crumple_store::run_folder::{FolderExamination, examine};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
@@ -115,11 +115,11 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
         let half_done = OnceLock::new();
         let look = Listener(|progress: &CampaignProgress| {
             if progress.evaluations > 0 {
-                half_done.get_or_init(|| read(folder.path()).ok());
+                half_done.get_or_init(|| read_folder(folder.path()).ok());
             }
         });
-        campaign()?.run(folder.path(), CampaignOptions::default(), &look).ok()?;
-        Some(CampaignSnapshots { half_done: half_done.into_inner()??, complete: read(folder.path()).ok()? })
+        small_campaign()?.run(folder.path(), CampaignOptions::default(), &look).ok()?;
+        Some(CampaignSnapshots { half_done: half_done.into_inner()??, complete: read_folder(folder.path()).ok()? })
     };
     GENUINE.get_or_init(make).as_ref()
 }
@@ -129,7 +129,7 @@ fn campaign_snapshots() -> Option<&'static CampaignSnapshots> {
 /// # Errors
 /// What the disk says, of which the target makes nothing.
 pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
-    let (Some(genuine), Some(campaign)) = (genuine(), campaign()) else {
+    let (Some(genuine), Some(campaign)) = (campaign_snapshots(), small_campaign()) else {
         return Ok(Some("the genuine campaign cannot be made".to_owned()));
     };
     let (base, bytes) = match bytes {
@@ -137,17 +137,17 @@ pub(super) fn find_misjudgement(bytes: &[u8]) -> io::Result<Option<String>> {
         [_, rest @ ..] => (&genuine.complete, rest),
         [] => (&genuine.complete, bytes),
     };
-    let contents = changed(base, bytes);
+    let contents = apply_changes(base, bytes);
     let folder = tempfile::tempdir()?;
-    write(folder.path(), &contents)?;
+    write_folder(folder.path(), &contents)?;
     let examined = examine(folder.path());
-    let is_whole = |found: &Examined| found.complete && found.files.iter().all(|(_, state)| state.is_ok());
+    let is_whole = |found: &FolderExamination| found.is_complete && found.files.iter().all(|(_, state)| state.is_ok());
     if examined.as_ref().is_ok_and(is_whole) != (contents == genuine.complete) {
         return Ok(Some(format!("the examination is wrong about what is complete and whole: {examined:?}")));
     }
     match campaign.run(folder.path(), CampaignOptions { resume: true, ..Default::default() }, &Quiet) {
         // Gone on with, it ends as the genuine one.
-        Ok(_) if read(folder.path())? != genuine.complete => {
+        Ok(_) if read_folder(folder.path())? != genuine.complete => {
             Ok(Some("a campaign went on from what is not its own, to another end".to_owned()))
         }
         Err(error) if contents == *base => Ok(Some(format!("the genuine folder is refused: {error}"))),

@@ -3,8 +3,8 @@
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::{DRIVER_BYTES, driver, script};
-use super::shape::{MOST_VEHICLES, Shape};
+use super::driver::{DRIVER_BYTES, read_driver, make_scripted};
+use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
@@ -15,7 +15,7 @@ const DRIVE_BYTES: usize = 6 + DRIVER_BYTES;
 const BODY_BYTES: usize = 32;
 
 /// Bytes that a scenario is read from, its shape included.
-pub const SCENARIO_BYTES: usize = Shape::BYTES + ROAD_BYTES + MOST_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
+pub const SCENARIO_BYTES: usize = ScenarioShape::BYTES + ROAD_BYTES + MAX_VEHICLES * (DRIVE_BYTES + BODY_BYTES);
 
 /// The paper's duration, speed and bumper gap.
 const DURATION_S: f64 = 15.0;
@@ -28,8 +28,8 @@ const GAP_M: f64 = 16.0;
 /// change of a field. The shape comes first, then duration, road and noise, then gaps, speeds and drivers, and last what a
 /// vehicle is like.
 pub fn read_scenario(from: &mut Unstructured<'_>) -> Scenario {
-    let shape = Shape::read(from);
-    scenario_of(&shape, from)
+    let shape = ScenarioShape::read(from);
+    read_scenario_of_shape(&shape, from)
 }
 
 /// Any valid scenario of a shape.
@@ -37,17 +37,17 @@ pub fn read_scenario(from: &mut Unstructured<'_>) -> Scenario {
     clippy::expect_used,
     reason = "valid by construction: a failure is a defect of this module, and tests look for it"
 )]
-pub fn read_scenario_of_shape(shape: &Shape, from: &mut Unstructured<'_>) -> Scenario {
-    let mut road = Choices::block(from, ROAD_BYTES);
-    let mut drives = Choices::block(from, MOST_VEHICLES * DRIVE_BYTES);
-    let mut bodies = Choices::block(from, MOST_VEHICLES * BODY_BYTES);
+pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>) -> Scenario {
+    let mut road = Choices::read_block(from, ROAD_BYTES);
+    let mut drives = Choices::read_block(from, MAX_VEHICLES * DRIVE_BYTES);
+    let mut bodies = Choices::read_block(from, MAX_VEHICLES * BODY_BYTES);
     let count = shape.drivers.len();
     let vehicles = shape.drivers.iter().enumerate().map(|(index, &kind)| {
         let (mut drive, mut body) = (drives.read_sub_block(DRIVE_BYTES), bodies.read_sub_block(BODY_BYTES));
-        let (gap_m, speed_mps) = motion(&mut drive);
-        let mut vehicle = vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
-        match driver(kind, &mut drive) {
-            Driver::Profile(profile) => script(&mut vehicle, profile),
+        let (gap_m, speed_mps) = read_motion(&mut drive);
+        let mut vehicle = read_vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
+        match read_driver(kind, &mut drive) {
+            Driver::Profile(profile) => make_scripted(&mut vehicle, profile),
             driver => vehicle.driver = driver,
         }
         vehicle
@@ -60,11 +60,11 @@ pub fn read_scenario_of_shape(shape: &Shape, from: &mut Unstructured<'_>) -> Sce
 fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choices<'_>) -> ScenarioSpec {
     // Most scenarios are much shorter than the paper's: they cost less, and what happens happens early.
     let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
-    let friction = choices.sometimes(85, |choices| choices.about(1.0, [0.05, 1.0])).unwrap_or(1.0);
+    let friction = choices.optional(85, |choices| choices.around(1.0, [0.05, 1.0])).unwrap_or(1.0);
     let nominal = Sensors::default();
     let sensors = Sensors {
-        position_noise_m: choices.about(nominal.position_noise_m, [0.0, 0.2]),
-        gap_noise_m: choices.about(nominal.gap_noise_m, [0.0, 0.2]),
+        position_noise_m: choices.around(nominal.position_noise_m, [0.0, 0.2]),
+        gap_noise_m: choices.around(nominal.gap_noise_m, [0.0, 0.2]),
         dropout: match choices.byte() {
             0..160 => 0.0,
             160..176 => 1.0,
@@ -74,7 +74,7 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
     let seed = choices.seed();
     let to_rear_m: f64 = vehicles.iter().skip(1).map(|vehicle| vehicle.position_m).sum();
     let lengths_m: f64 = vehicles.iter().rev().skip(1).map(VehicleSpec::length_m).sum();
-    let rear_m = choices.about(0.0, [-1e4, 1e4]);
+    let rear_m = choices.around(0.0, [-1e4, 1e4]);
     place_vehicles(&mut vehicles, rear_m + to_rear_m + lengths_m);
     ScenarioSpec {
         version: SCENARIO_VERSION,
@@ -100,11 +100,11 @@ fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
 
 /// The gap ahead and the speed at the start.
 fn read_motion(choices: &mut Choices<'_>) -> (f64, f64) {
-    let gap_m = choices.about(GAP_M, [0.01, 40.0]);
-    let speed_mps = choices.about(SPEED_MPS, [0.0, 45.0]);
+    let gap_m = choices.around(GAP_M, [0.01, 40.0]);
+    let speed_mps = choices.around(SPEED_MPS, [0.0, 45.0]);
     let close_m = choices.byte();
     let gap_m = if close_m > 212 { 0.05 * gap_m } else { gap_m };
-    let stands = choices.happens(42);
+    let stands = choices.chance(42);
     (gap_m.max(0.01), if stands { 0.0 } else { speed_mps })
 }
 
@@ -115,18 +115,18 @@ fn nominal_class(index: usize, count: usize) -> VehicleClass {
 /// A vehicle whose position is still the gap ahead of it.
 fn read_vehicle(nominal: VehicleClass, gap_m: f64, speed_mps: f64, choices: &mut Choices<'_>) -> VehicleSpec {
     let other = if nominal == VehicleClass::Heavy { VehicleClass::Light } else { VehicleClass::Heavy };
-    let class = choices.one_of(&[nominal, other]).unwrap_or(nominal);
-    let delay_s = |choices: &mut Choices<'_>| choices.sometimes(64, |choices| choices.up_to(0.5)).unwrap_or_default();
+    let class = choices.choose(&[nominal, other]).unwrap_or(nominal);
+    let delay_s = |choices: &mut Choices<'_>| choices.optional(64, |choices| choices.up_to(0.5)).unwrap_or_default();
     VehicleSpec {
-        length_m: choices.sometimes(77, |choices| choices.about(class.length_m(), [0.5, 30.0])),
-        mass_kg: choices.sometimes(77, |choices| choices.about(class.mass_kg(), [500.0, 40_000.0])),
-        max_brake_mps2: choices.sometimes(77, |choices| choices.about(class.max_brake_mps2(), [2.0, 12.0])),
-        max_accel_mps2: choices.sometimes(77, |choices| choices.about(class.max_accel_mps2(), [0.0, 6.0])),
-        acceleration_noise_mps2: choices.sometimes(85, |choices| choices.up_to(1.0)).unwrap_or_default(),
+        length_m: choices.optional(77, |choices| choices.around(class.length_m(), [0.5, 30.0])),
+        mass_kg: choices.optional(77, |choices| choices.around(class.mass_kg(), [500.0, 40_000.0])),
+        max_brake_mps2: choices.optional(77, |choices| choices.around(class.max_brake_mps2(), [2.0, 12.0])),
+        max_accel_mps2: choices.optional(77, |choices| choices.around(class.max_accel_mps2(), [0.0, 6.0])),
+        acceleration_noise_mps2: choices.optional(85, |choices| choices.up_to(1.0)).unwrap_or_default(),
         reaction_delay_s: delay_s(choices),
         actuator_delay_s: delay_s(choices),
         actuator_lag_s: delay_s(choices),
-        jerk_limit_mps3: choices.sometimes(77, |choices| choices.about(10.0, [1.0, 50.0])),
+        jerk_limit_mps3: choices.optional(77, |choices| choices.around(10.0, [1.0, 50.0])),
         ..VehicleSpec::new(class, gap_m, speed_mps, Driver::Profile(LeadProfile::ConstantSpeed))
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use arbitrary::Unstructured;
 
 use super::choices::Choices;
-use super::driver::{DRIVER_BYTES, controller};
+use super::driver::{DRIVER_BYTES, controller_from_bytes};
 use crumple_core::digest::sha256;
 use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_world::observation::{EstimatorKind, Observation};
@@ -70,21 +70,21 @@ impl RunSetup {
 
     /// Reads a setup; no bytes are the product's defaults: the baseline, through the filter, up to the first contact.
     pub fn read(from: &mut Unstructured<'_>) -> Self {
-        let mut choices = Choices::block(from, SETUP_BYTES - DRIVER_BYTES);
+        let mut choices = Choices::read_block(from, SETUP_BYTES - DRIVER_BYTES);
         let kind = choices.byte();
         let interval_steps = u32::from(choices.byte() % 8);
         let settings = from.bytes(DRIVER_BYTES.min(from.len())).unwrap_or_default();
         Self {
             controller: match kind {
-                0..192 => TestedController::BuiltIn(controller(kind, settings)),
-                192.. => TestedController::Opinionated(interval_steps),
+                0..192 => TestedController::BuiltIn(controller_from_bytes(kind, settings)),
+                192.. => TestedController::FullObservation(interval_steps),
             },
-            estimator: choices.one_of(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
+            estimator: choices.choose(&[EstimatorKind::Kalman, EstimatorKind::Truth]).unwrap_or_default(),
             substeps: match choices.byte() {
                 0..192 => 1,
                 more @ 192.. => 2 + u32::from(more) % 6,
             },
-            after_contact: choices.one_of(&[AfterContact::Stop, AfterContact::Continue]).unwrap_or_default(),
+            after_contact: choices.choose(&[AfterContact::Stop, AfterContact::Continue]).unwrap_or_default(),
         }
     }
 
@@ -103,7 +103,7 @@ impl RunSetup {
         match &self.controller {
             TestedController::BuiltIn(spec) => spec.policy().is_some(),
             TestedController::Named(ControllerByName(found)) => found.kind.is_learned(),
-            TestedController::Opinionated(_) => false,
+            TestedController::FullObservation(_) => false,
         }
     }
 
@@ -119,7 +119,7 @@ impl RunSetup {
         let controller = match &self.controller {
             TestedController::BuiltIn(spec) => ControllerKind::from(spec.clone()),
             TestedController::Named(ControllerByName(found)) => found.kind.clone(),
-            TestedController::Opinionated(steps) => {
+            TestedController::FullObservation(steps) => {
                 let interval_s = (*steps > 0).then(|| f64::from(*steps) * step_s);
                 Arc::new(FullObservationController { interval_s, last_mps2: 0.0 }).into()
             }
@@ -148,7 +148,7 @@ impl TestedController {
         match self {
             Self::BuiltIn(spec) => ControllerKind::from(spec.clone()).interval_s(),
             Self::Named(ControllerByName(found)) => found.kind.interval_s(),
-            Self::Opinionated(_) => None,
+            Self::FullObservation(_) => None,
         }
     }
 
@@ -165,7 +165,7 @@ impl TestedController {
         match self {
             Self::BuiltIn(spec) => spec.name(),
             Self::Named(ControllerByName(found)) => &found.name,
-            Self::Opinionated(_) => "opinionated",
+            Self::FullObservation(_) => "opinionated",
         }
     }
 }

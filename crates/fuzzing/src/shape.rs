@@ -60,20 +60,20 @@ impl DriverKind {
 
     /// The sort a byte stands for: nominal if it is zero.
     pub(super) fn from_byte(byte: u8, index: usize, count: usize) -> Self {
-        byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::any)
+        byte.checked_sub(1).map_or_else(|| Self::nominal(index, count), Self::non_nominal)
     }
 }
 
 impl ScenarioShape {
     /// Bytes that a shape is read from.
-    pub const BYTES: usize = 2 + MOST_VEHICLES;
+    pub const BYTES: usize = 2 + MAX_VEHICLES;
 
     /// Reads a shape; no bytes are the paper's.
     pub fn read(from: &mut Unstructured<'_>) -> Self {
-        let mut choices = Choices::block(from, Self::BYTES);
-        let count = choices.one_of(&VEHICLE_COUNTS).unwrap_or(VEHICLE_COUNTS[0]);
-        let step_s = choices.one_of(&STEPS_S).unwrap_or(STEPS_S[0]);
-        let drivers = (0..count).map(|index| DriverKind::of(choices.byte(), index, count)).collect();
+        let mut choices = Choices::read_block(from, Self::BYTES);
+        let count = choices.choose(&VEHICLE_COUNTS).unwrap_or(VEHICLE_COUNTS[0]);
+        let step_s = choices.choose(&STEPS_S).unwrap_or(STEPS_S[0]);
+        let drivers = (0..count).map(|index| DriverKind::from_byte(choices.byte(), index, count)).collect();
         Self { step_s, drivers }
     }
 }

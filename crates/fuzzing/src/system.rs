@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use crumple_search::worst_case::{AvoidOptions, Avoidance, Effort, avoid};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
 use crumple_world::control::{ControllerSpec, ShieldSettings};
 use crumple_world::measure::ContactRole;
-use crumple_world::measure::stl::{Formula, MonitorError, Signals};
+use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_world::observation::Observation;
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
-use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, Run, Shielded, Simulated, Stepper};
+use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper};
 
 /// The parts of the program that oracles question.
 ///
@@ -17,12 +17,12 @@ use crumple_world::sim::{self, Contact, ControllerKind, Motion, RecordingLevel, 
 /// oracle must notice.
 pub trait System {
     /// One run, step by step.
-    fn simulate(&self, run: &Run, keep: RecordingLevel) -> Simulated {
+    fn simulate(&self, run: &Run, keep: RecordingLevel) -> SimulationResult {
         sim::simulate(run, keep)
     }
 
     /// Many runs in lockstep.
-    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<Simulated> {
+    fn simulate_batch(&self, runs: &[Run], keep: RecordingLevel) -> Vec<SimulationResult> {
         sim::simulate_batch(runs, keep, |_, simulated| simulated)
     }
 
@@ -32,8 +32,8 @@ pub trait System {
         while !stepper.has_ended() {
             for vehicle in 0..run.scenario().vehicles().len() {
                 let Some(seen) = stepper.observe(vehicle) else { continue };
-                let time_s = stepper.steps_made() as f64 * run.scenario().spec().step_s;
-                if !each(&ObservationSample { vehicle, time_s, seen, motion: stepper.motion() }) {
+                let time_s = stepper.step_count() as f64 * run.scenario().spec().step_s;
+                if !each(&ObservationSample { vehicle, time_s, observation: seen, motion: stepper.motion() }) {
                     return;
                 }
             }
@@ -43,7 +43,7 @@ pub trait System {
 
     /// Full throttle behind a shield.
     fn shielded_full_throttle(&self) -> ControllerKind {
-        Shielded {
+        ShieldedSource {
             controller: ControllerSpec::FullThrottle(Default::default()).into(),
             settings: ShieldSettings::default(),
         }
@@ -52,7 +52,7 @@ pub trait System {
 
     /// What the best driver could have done in a scenario; none if that cannot be asked of it.
     fn avoid(&self, scenario: &Scenario) -> Option<Avoidance> {
-        avoid(scenario, AvoidOptions { effort: Effort::Decide, ..AvoidOptions::default() }).ok()
+        avoid(scenario, AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() }).ok()
     }
 
     /// A scenario written to a file and read again.
@@ -60,7 +60,7 @@ pub trait System {
     /// # Errors
     /// [`FileError`] if what was written cannot be read.
     fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
-        let text = format.text(scenario);
+        let text = format.to_text(scenario);
         match format {
             ScenarioFormat::Toml => from_toml(&text, Path::new("test_case.toml")),
             ScenarioFormat::Json => from_json(&text, Path::new("test_case.json")),
@@ -71,7 +71,7 @@ pub trait System {
     ///
     /// # Errors
     /// [`MonitorError`] as [`Formula::robustness`].
-    fn robustness_over_time(&self, formula: &Formula, signals: &Signals<'_>) -> Result<Vec<f64>, MonitorError> {
+    fn robustness_over_time(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<Vec<f64>, MonitorError> {
         formula.robustness_over_time(signals)
     }
 
@@ -79,13 +79,13 @@ pub trait System {
     ///
     /// # Errors
     /// [`MonitorError`] as [`Formula::is_satisfied`].
-    fn is_satisfied(&self, formula: &Formula, signals: &Signals<'_>) -> Result<bool, MonitorError> {
+    fn is_satisfied(&self, formula: &Formula, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
         formula.is_satisfied(signals)
     }
 
     /// Whose contact it is.
     fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
-        ContactRole::of(contact, scenario)
+        ContactRole::new(contact, scenario)
     }
 }
 

@@ -4,19 +4,19 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use crumple_fmu::{Description, Fmu};
+use crumple_fmu::{ModelDescription, Fmu};
 use crumple_verify::{Certificate, WorkLimit, check_with};
 
-use super::folder;
+use super::run_folder;
 use super::oracle::motion_is_physical;
-use super::{Checked, Crumple, FileFormat, Law, ORACLES, Question, Setup, System, TestCase, Violation};
-use crumple_world::measure::stl::{Formula, Signals, SyntaxProblem, naive_robustness};
+use super::{OracleOutcome, Crumple, ScenarioFormat, Invariant, ORACLES, OracleContext, RunSetup, System, TestCase, Violation};
+use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{self, Leaders, MinBrake, episodes};
+use crumple_world::recording::{self, LeaderSelection, MinBrake, episodes};
 use crumple_world::scenario::file::{from_json, from_toml, to_toml};
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
 /// A target: what it makes of some bytes.
@@ -39,7 +39,7 @@ pub const TARGETS: [(&str, FuzzTarget); 10] = [
 /// Most steps times vehicles of a scenario from a file that is run.
 const MAX_VEHICLE_STEPS: usize = 20_000;
 /// What checking a certificate may take: some hundredths of a second.
-const WORK_LIMIT: WorkLimit = WorkLimit::operations(100_000_000);
+const WORK_LIMIT: WorkLimit = WorkLimit::from_operations(100_000_000);
 /// Samples that formulas are judged on.
 const SAMPLES: usize = 16;
 
@@ -48,7 +48,7 @@ const SAMPLES: usize = 16;
 /// # Errors
 /// What an oracle found.
 pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
-    TestCase::from_bytes(bytes).examine(&Crumple).map(drop)
+    TestCase::from_bytes(bytes).check_all(&Crumple).map(drop)
 }
 
 /// Any test case in which vehicles enter or leave the lane, and every oracle that holds then.
@@ -65,9 +65,9 @@ pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
 /// What an oracle found.
 pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
     let test_case = TestCase::from_bytes(bytes);
-    let question = Question::new(&test_case, &Crumple)?;
-    let answers = ORACLES.into_iter().map(|oracle| question.ask(oracle)).collect::<Result<Vec<_>, _>>()?;
-    Ok(answers.into_iter().filter(|answer| *answer != Checked::Undecided).count())
+    let question = OracleContext::new(&test_case, &Crumple)?;
+    let answers = ORACLES.into_iter().map(|oracle| question.check(oracle)).collect::<Result<Vec<_>, _>>()?;
+    Ok(answers.into_iter().filter(|answer| *answer != OracleOutcome::Undecided).count())
 }
 
 /// A text is a scenario file or refused with a line that exists; a scenario survives being written, and can be run.
@@ -76,19 +76,19 @@ pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
 /// A [`Violation`] of [`Law::Reading`] or [`Law::Files`], or what the run violated.
 pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
-    for format in FileFormat::ALL {
+    for format in ScenarioFormat::ALL {
         let (path, read) = match format {
-            FileFormat::Toml => ("f.toml", from_toml(text, Path::new("f.toml"))),
-            FileFormat::Json => ("f.json", from_json(text, Path::new("f.json"))),
+            ScenarioFormat::Toml => ("f.toml", from_toml(text, Path::new("f.toml"))),
+            ScenarioFormat::Json => ("f.json", from_json(text, Path::new("f.json"))),
         };
         match read {
-            Ok(scenario) => accepted(&scenario, format)?,
+            Ok(scenario) => check_accepted_scenario(&scenario, format)?,
             Err(error) => {
                 let message = error.to_string();
                 let line = message.strip_prefix(path).and_then(|rest| rest.strip_prefix(':'));
                 let line = line.and_then(|rest| rest.split_once(": ")?.0.parse().ok());
                 let lines = 1 + text.matches('\n').count();
-                must(line.is_some_and(|line| (1..=lines).contains(&line)), Law::Reading, text, || message)?;
+                ensure(line.is_some_and(|line| (1..=lines).contains(&line)), Invariant::Reading, text, || message)?;
             }
         }
     }
@@ -96,17 +96,17 @@ pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
 }
 
 /// A scenario from a file survives both formats and moves as vehicles do.
-fn check_accepted_scenario(scenario: &Scenario, format: FileFormat) -> Result<(), Violation> {
-    let text = format.text(scenario);
-    let back = Crumple.through_file(scenario, format);
+fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Result<(), Violation> {
+    let text = format.to_text(scenario);
+    let back = Crumple.file_round_trip(scenario, format);
     let same = back.as_ref().is_ok_and(|back| back == scenario);
-    must(same, Law::Files, &text, || format!("{format:?}: it came back as {back:?}"))?;
-    if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MOST_VEHICLE_STEPS {
-        let test_case = TestCase { scenario: scenario.clone(), setup: Setup::truthful() };
+    ensure(same, Invariant::Files, &text, || format!("{format:?}: it came back as {back:?}"))?;
+    if scenario.steps().saturating_mul(scenario.vehicles().len()) <= MAX_VEHICLE_STEPS {
+        let test_case = TestCase { scenario: scenario.clone(), setup: RunSetup::with_true_state() };
         let options = test_case.setup.options(scenario.spec().step_s);
         // A learned driver decides at instants that need not be this scenario's.
-        if !matches!(Run::new(scenario, options), Err(RunError::Interval { .. })) {
-            test_case.ask(motion_is_physical, &Crumple)?;
+        if !matches!(Run::new(scenario, options), Err(RunError::DecisionInterval { .. })) {
+            test_case.check(motion_is_physical, &Crumple)?;
         }
     }
     Ok(())
@@ -121,15 +121,15 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     let header = format!("{:?}", policy.header());
     let written = policy.to_bytes().ok();
     let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
-    must(back.as_ref() == Some(&policy), Law::Reading, &header, || "it is not what was written of it".to_owned())?;
-    let Some(short) = built_in("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok()) else {
+    ensure(back.as_ref() == Some(&policy), Invariant::Reading, &header, || "it is not what was written of it".to_owned())?;
+    let Some(short) = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok()) else {
         return Ok(());
     };
     // A policy may decide at instants that are not this scenario's.
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
         let result = simulate(&run, RecordingLevel::Summary);
         let moved = result.vehicles.iter().all(|vehicle| vehicle.max_brake_mps2.is_finite());
-        must(moved, Law::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
+        ensure(moved, Invariant::Reading, &header, || format!("it drives out of this world: {:?}", result.vehicles))?;
     }
     Ok(())
 }
@@ -145,7 +145,7 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
             Ok(file) => file,
             Err(refused) => {
                 let is_said = !refused.to_string().is_empty();
-                must(is_said, Law::Reading, "", || format!("{format} is refused without a word"))?;
+                ensure(is_said, Invariant::Reading, "", || format!("{format} is refused without a word"))?;
                 continue;
             }
         };
@@ -155,15 +155,15 @@ pub fn network_file(bytes: &[u8]) -> Result<(), Violation> {
         let Ok(ranges) = network.answer_ranges(&vec![[-4.0, 4.0]; network.inputs()]) else { continue };
         let mut space = Workspace::default();
         let rows: Vec<f32> = seen.iter().flat_map(|&value| vec![value; network.inputs()]).collect();
-        let together = network.answers(&rows, seen.len(), &mut space).to_vec();
+        let together = network.forward(&rows, seen.len(), &mut space).to_vec();
         for (row, answers) in rows.chunks(network.inputs()).zip(together.chunks(network.outputs())) {
-            let alone = network.answers(row, 1, &mut space);
+            let alone = network.forward(row, 1, &mut space);
             let same = alone.iter().zip(answers).all(|(alone, among)| alone.to_bits() == among.to_bits());
-            must(same, Law::Reading, &shape, || format!("{alone:?} alone, {answers:?} among others"))?;
+            ensure(same, Invariant::Reading, &shape, || format!("{alone:?} alone, {answers:?} among others"))?;
             for (answer, [low, high]) in answers.iter().map(|&answer| f64::from(answer)).zip(&ranges) {
                 let slack = 1e-3 * (1.0 + low.abs().max(high.abs()));
                 let is_there = (low - slack..=high + slack).contains(&answer);
-                must(is_there, Law::Reading, &shape, || format!("{answer} is not within {low} to {high}"))?;
+                ensure(is_there, Invariant::Reading, &shape, || format!("{answer} is not within {low} to {high}"))?;
             }
         }
     }
@@ -178,18 +178,18 @@ pub fn fmu_file(bytes: &[u8]) -> Result<(), Violation> {
     // An archive, or what would be in one.
     let read = [
         Fmu::read(Cursor::new(bytes)).map(|fmu| fmu.description().clone()).map_err(|error| error.to_string()),
-        Description::from_xml(&String::from_utf8_lossy(bytes)).map_err(|error| error.to_string()),
+        ModelDescription::from_xml(&String::from_utf8_lossy(bytes)).map_err(|error| error.to_string()),
     ];
     for read in read {
         match read {
-            Ok(Description { variables, model_identifier, .. }) => {
+            Ok(ModelDescription { variables, model_identifier, .. }) => {
                 let mut names: Vec<&str> = variables.iter().map(|variable| variable.name.as_str()).collect();
                 names.sort_unstable();
                 names.dedup();
                 let is_one = names.len() == variables.len() && !model_identifier.contains(['/', '\\', '.']);
-                must(is_one, Law::Reading, &model_identifier, || format!("{names:?} are not all"))?;
+                ensure(is_one, Invariant::Reading, &model_identifier, || format!("{names:?} are not all"))?;
             }
-            Err(refused) => must(!refused.is_empty(), Law::Reading, "", || "refused without a word".to_owned())?,
+            Err(refused) => ensure(!refused.is_empty(), Invariant::Reading, "", || "refused without a word".to_owned())?,
         }
     }
     Ok(())
@@ -205,12 +205,12 @@ pub fn certificate(bytes: &[u8]) -> Result<(), Violation> {
     let written = serde_json::to_string(&read).unwrap_or_default();
     let again = Certificate::from_json(&written).ok();
     let same = again.as_ref() == Some(&read);
-    must(same, Law::Certificates, text, || format!("it came back as {again:?}"))?;
-    let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK);
+    ensure(same, Invariant::Certificates, text, || format!("it came back as {again:?}"))?;
+    let check = |certificate: &Certificate| check_with(certificate, Some(Policy::reference_bytes()), WORK_LIMIT);
     let (said, said_again) = (check(&read), again.as_ref().map(check));
     // Both are words: a reason may hold a number that is none.
     let (said, said_again) = (format!("{said:?}"), format!("{:?}", said_again.unwrap_or_else(|| said.clone())));
-    must(said == said_again, Law::Certificates, text, || format!("first {said}, then {said_again}"))
+    ensure(said == said_again, Invariant::Certificates, text, || format!("first {said}, then {said_again}"))
 }
 
 /// Another reading of the columns of car-following events: places of vehicles, by their numbers.
@@ -227,25 +227,25 @@ layout.tracks = { vehicle = "event", position = { column = "gap_m", of = "centre
 /// # Errors
 /// A [`Violation`] of [`Law::Reading`].
 pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
-    let tracks = RecordingMap::from_toml(TRACKS, Path::new("tracks.toml"));
-    must(tracks.is_ok(), Law::Reading, TRACKS, || format!("{tracks:?}"))?;
+    let tracks = RecordingMap::from_toml(TRACKS_MAP, Path::new("tracks.toml"));
+    ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
     for map in [None, tracks.as_ref().ok()] {
         let Ok(recording) = recording::read(bytes, Path::new("f.csv"), map) else { continue };
-        for (number, episode) in episodes(&recording, MinBrake::default(), Leaders::Any).episodes.iter().enumerate() {
+        for (number, episode) in episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate() {
             let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
             let text = to_toml(&scenario).unwrap_or_default();
             let back = from_toml(&text, Path::new("f.toml"));
             let same = back.as_ref().is_ok_and(|back| *back == scenario);
-            must(same, Law::Files, &text, || format!("it came back as {back:?}"))?;
+            ensure(same, Invariant::Files, &text, || format!("it came back as {back:?}"))?;
         }
         for dropped in &recording.dropped {
             let is_said = !dropped.to_string().is_empty();
-            must(is_said, Law::Reading, "", || "something is dropped without a word".to_owned())?;
+            ensure(is_said, Invariant::Reading, "", || "something is dropped without a word".to_owned())?;
         }
         let seen = recording::preview(&recording);
         let is_even =
             seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
-        must(is_even, Law::Reading, "", || "speeds are out of order".to_owned())?;
+        ensure(is_even, Invariant::Reading, "", || "speeds are out of order".to_owned())?;
     }
     Ok(())
 }
@@ -259,18 +259,18 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
     let formula: Formula = match text.parse() {
         Ok(formula) => formula,
-        Err(crumple_world::measure::stl::ParseError { column, problem }) => {
+        Err(crumple_world::measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
-            return must(columns.contains(&column), Law::Reading, text, || format!("column {column}: {problem}"));
+            return ensure(columns.contains(&column), Invariant::Reading, text, || format!("column {column}: {problem}"));
         }
     };
     let printed = formula.to_string();
     match printed.parse::<Formula>() {
         // Printing adds parentheses and may write a sum out: a text at the limits can exceed them.
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
-        back => must(back.as_ref() == Ok(&formula), Law::Reading, text, || format!("{printed} is read as {back:?}"))?,
+        back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || format!("{printed} is read as {back:?}"))?,
     }
-    let Ok(mut signals) = Signals::new(0.1, SAMPLES) else { return Ok(()) };
+    let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };
     for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
         // Small whole numbers, so that margins of exactly zero are common.
         let samples: Vec<f64> = (0..SAMPLES).map(|k| ((k * k * seed + 3 * k + seed) % 7) as f64 - 3.0).collect();
@@ -281,10 +281,10 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let (Ok(robustness), Ok(defined)) = (formula.robustness(&signals), naive_robustness(&formula, &signals, 0)) else {
         return Ok(());
     };
-    must(robustness == defined, Law::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
+    ensure(robustness == defined, Invariant::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
     let satisfied = formula.is_satisfied(&signals);
     let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
-    must(sign, Law::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
+    ensure(sign, Invariant::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))
 }
 
 /// A folder of a campaign, complete or half done, of which bytes have changed files: it is said to be complete and whole only if it
@@ -294,12 +294,12 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
 /// A [`Violation`] of [`Law::Folders`].
 pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
     // Where there is no room for temporary files, nothing can be said.
-    match run_folder::misjudged(bytes) {
-        Ok(Some(finding)) => must(false, Law::Folders, &format!("{bytes:?}"), || finding),
+    match run_folder::find_misjudgement(bytes) {
+        Ok(Some(finding)) => ensure(false, Invariant::Folders, &format!("{bytes:?}"), || finding),
         Ok(None) | Err(_) => Ok(()),
     }
 }
 
-fn ensure(holds: bool, law: Law, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
-    if holds { Ok(()) } else { Err(Violation { law, finding: finding(), reproducer: input.to_owned() }) }
+fn ensure(holds: bool, law: Invariant, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
+    if holds { Ok(()) } else { Err(Violation { invariant: law, finding: finding(), reproducer: input.to_owned() }) }
 }

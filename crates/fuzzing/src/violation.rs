@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::{TestCase, TestedController};
-use crumple_core::quoted::ShellWord;
+use crumple_core::quoting::ShellWord;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Driver;
@@ -59,13 +59,13 @@ pub enum Invariant {
 impl fmt::Display for Invariant {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::Runs => "a valid scenario can be run",
+            Self::Runnable => "a valid scenario can be run",
             Self::ForwardMotion => "no vehicle reverses",
             Self::Continuity => "no vehicle is where its speed cannot have taken it",
             Self::Energy => "brakes and impacts take energy away",
             Self::Momentum => "impacts keep momentum",
             Self::Sticking => "vehicles that touched stay together",
-            Self::OneStory => "verdict, summary and trace tell one story",
+            Self::MetricsAgree => "verdict, summary and trace tell one story",
             Self::Limits => "no vehicle goes beyond what road and vehicle allow",
             Self::ContactRole => "whose contact it is said to be agrees with the trace",
             Self::Engines => "the batch engine is the scalar engine, to the last bit",
@@ -85,7 +85,7 @@ impl fmt::Display for Invariant {
 
 /// A law that was broken.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("broken: {law}\n{finding}\n\n{reproducer}")]
+#[error("broken: {invariant}\n{finding}\n\n{reproducer}")]
 pub struct Violation {
     /// Which law.
     pub invariant: Invariant,
@@ -113,9 +113,9 @@ impl TestCase {
         let Self { scenario, setup } = self;
         let name = setup.controller.name();
         let as_named = match &setup.controller {
-            TestedController::BuiltIn(spec) => ControllerSpec::named(name).as_ref() == Some(spec),
+            TestedController::BuiltIn(spec) => ControllerSpec::from_name(name).as_ref() == Some(spec),
             TestedController::Named(_) => true,
-            TestedController::Opinionated(_) => false,
+            TestedController::FullObservation(_) => false,
         };
         let mut scenario = scenario.clone();
         let mut how = Vec::new();

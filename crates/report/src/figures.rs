@@ -6,9 +6,9 @@ use maud::html;
 
 pub use fit::fitted;
 
-use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg, extent, padded};
+use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg, extent, pad_interval};
 use crumple_world::policy::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};
-use crumple_world::recording::{Hardest, Preview, SpeedLine};
+use crumple_world::recording::{HardestBrakingResult, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
 const FIGURE_WIDTH: f64 = 720.0;
@@ -28,7 +28,7 @@ pub struct StatedConvergence<'a> {
 /// A learning curve: the mean reward in evaluation over all seeds, and its standard deviation.
 #[must_use]
 pub fn draw_learning_curve(curve: &LearningCurve) -> Svg {
-    learning_curve_beside(curve, None)
+    draw_learning_curve_with_reference(curve, None)
 }
 
 /// A learning curve, and what somebody states of theirs: a ring where it is said to arrive, and a line from there on, no curve.
@@ -39,20 +39,20 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     // What is stated goes on beyond what was trained.
     let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
-    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
+    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
     let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
-    let x = Axis::numbers("episode", (0.0, last), 8);
-    let y = Axis::numbers("", (low, COLLISION_FREE_REWARD * 1.06), 6);
+    let x = Axis::numeric("episode", (0.0, last), 8);
+    let y = Axis::numeric("", (low, COLLISION_FREE_REWARD * 1.06), 6);
     let mut panel = Panel::new(frame, &title, x, y);
     let line = |of: &dyn Fn(&CurvePoint) -> f64| points.iter().map(|p| (p.episode as f64, of(p))).collect::<Vec<_>>();
-    panel.band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
+    panel.add_band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
     panel.add_horizontal_line(COLLISION_FREE_REWARD, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
-    panel.line(&line(&|p| p.mean_reward), Stroke::series(0));
+    panel.add_line(&line(&|p| p.mean_reward), Stroke::series(0));
     // Words stand where the curve's right end is not.
     let right: Vec<f64> = points.iter().filter(|p| p.episode as f64 > 0.6 * trained).map(|p| p.mean_reward).collect();
     let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
     let words_at = |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
-    panel.note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
+    panel.add_note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without contact."
             .to_owned();
@@ -60,15 +60,15 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     if let Some(untrained) = points.first().filter(|point| point.episode == 0).map(|point| point.mean_reward) {
         let words = format!("dots: {}, before any training", format_thousands(untrained));
         panel.add_horizontal_line(untrained, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
-        panel.note(words_at(1.0), Anchor::End, &words, Ink::Muted);
+        panel.add_note(words_at(1.0), Anchor::End, &words, Ink::Muted);
         description += &format!(" Untrained networks stand at {untrained:.0}.");
     }
     if let Some(StatedConvergence { source, reward, from_episode }) = stated {
         let at = (*from_episode as f64, *reward);
-        panel.segment(at, (last, *reward), Stroke { width: 2.4, ..Stroke::series(1) });
-        panel.marks(&[at], Marker::Ring, Ink::Series(1));
+        panel.add_segment(at, (last, *reward), Stroke { width: 2.4, ..Stroke::series(1) });
+        panel.add_markers(&[at], Marker::Ring, Ink::Series(1));
         let said = format!("{} from about episode {from_episode} on", format_thousands(*reward));
-        panel.note(
+        panel.add_note(
             words_at(-1.0),
             Anchor::End,
             &format!("ring and line: {source}, by its text: {said}"),
@@ -77,7 +77,7 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
         description += &format!(" Of {source} only what its text states is drawn, {said}: its curve has no numbers.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    Svg::new("learning-curve", (WIDTH, HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN), &title, &description, content)
+    Svg::new("learning-curve", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), &title, &description, content)
 }
 
 /// A reward as in 22 500.
@@ -125,20 +125,20 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
         ends.push((done as f64, format!("round {number} {word}")));
     }
     let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
-    let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
+    let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
     let title = "Contacts in the avoidable draws that select checkpoints";
-    let x = Axis::numbers("episode", (0.0, done.max(1) as f64), 8);
-    let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, most * 1.15), 6));
+    let x = Axis::numeric("episode", (0.0, done.max(1) as f64), 8);
+    let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, most * 1.15), 6));
     for (end, words) in &ends {
         panel.add_vertical_line(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
-        panel.note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
+        panel.add_note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
     }
-    panel.line(&points, Stroke::series(0));
-    panel.marks(&candidates, Marker::Ring, Ink::Series(1));
+    panel.add_line(&points, Stroke::series(0));
+    panel.add_markers(&candidates, Marker::Ring, Ink::Series(1));
     let content = panel.draw(&Svg::id("retraining", "frame"));
     let description =
         "A ring is the candidate of its round. Checkpoints that touch somebody in what the paper has are left out.";
-    Svg::new("retraining", (WIDTH, HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN), title, description, content)
+    Svg::new("retraining", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), title, description, content)
 }
 
 /// What was understood of a recording: speeds of its vehicles, and the gaps behind them, over time.
@@ -146,32 +146,32 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
     let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
-        let frame = Frame { left: LEFT_MARGIN + 24.0, top, width: WIDTH - LEFT_MARGIN - 40.0, height: HEIGHT };
+        let frame = PixelRect { left: LEFT_MARGIN + 24.0, top, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
         let all = || preview.lines.iter().flat_map(&of);
-        let time = Axis::numbers("s", extent(all().map(|point| point.0)), 8);
-        let value = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
+        let time = Axis::numeric("s", extent(all().map(|point| point.0)), 8);
+        let value = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
         let mut panel = Panel::new(frame, title, time, value);
         for (index, line) in preview.lines.iter().enumerate() {
             // A line is broken where the recording is.
             for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5)) {
-                panel.line(part, Stroke { width: 1.0, ..Stroke::series(index) });
+                panel.add_line(part, Stroke { width: 1.0, ..Stroke::series(index) });
             }
         }
-        if let Hardest::Braking(hardest) = &preview.hardest {
+        if let HardestBrakingResult::Braking(hardest) = &preview.hardest {
             panel.add_vertical_line(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         }
         panel
     };
     let speeds = panel(HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps);
-    let second = HEADING_HEIGHT + HEIGHT + BOTTOM_MARGIN + HEADING_HEIGHT;
+    let second = HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN + HEADING_HEIGHT;
     let gaps = panel(second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m);
     let [speeds, gaps] =
         [("speeds", speeds), ("gaps", gaps)].map(|(name, panel)| panel.draw(&Svg::id("recorded", name)));
     let shown = preview.lines.len();
     let description =
-        format!("Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.", preview.leads);
+        format!("Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.", preview.lead_vehicles);
     let content = html! { (speeds) (gaps) };
-    Svg::new("recorded", (WIDTH, second + HEIGHT + BOTTOM_MARGIN), file, &description, content)
+    Svg::new("recorded", (FIGURE_WIDTH, second + PANEL_HEIGHT + BOTTOM_MARGIN), file, &description, content)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::fmt::{self, Display, Write};
 
 use quick_xml::escape::escape;
 
-use crumple_core::quoted::Lines;
+use crumple_core::quoting::TerminalLines;
 
 /// Result of a test case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub(crate) struct JunitSuite {
 
 /// Renders suites as XML. Control characters are shown as escapes.
 pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
-    Lines(&JunitReport { name, suites }.to_string()).to_string()
+    TerminalLines(&JunitReport { name, suites }.to_string()).to_string()
 }
 
 struct JunitReport<'a> {

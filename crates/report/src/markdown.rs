@@ -5,7 +5,7 @@
 
 use std::fmt::Display;
 
-use crumple_core::quoted::{MarkdownCode, MarkdownText};
+use crumple_core::quoting::{MarkdownCode, MarkdownText};
 
 /// A text in Markdown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub(crate) struct Inline {
 impl Inline {
     /// Words, and code between backticks.
     pub(crate) fn prose(text: &str) -> Self {
-        Self::default().and(text)
+        Self::default().and_prose(text)
     }
 
     /// Code, whatever it holds.
@@ -40,7 +40,7 @@ impl Inline {
         for (index, piece) in text.split('`').enumerate() {
             match index % 2 == 1 && !piece.is_empty() {
                 true => self = self.and_code(piece),
-                false => self.add(piece),
+                false => self.push_escaped(piece),
             }
         }
         self
@@ -96,14 +96,14 @@ impl Markdown {
     /// A heading, from 1 for the largest.
     pub(crate) fn heading(&mut self, depth: usize, text: &str) {
         let Inline { text } = Inline::prose(text);
-        self.block(&format!("{} {text}\n", "#".repeat(depth)));
+        self.push_block(&format!("{} {text}\n", "#".repeat(depth)));
     }
 
     /// A paragraph; none if there are no words.
     pub(crate) fn paragraph(&mut self, words: impl Into<Inline>) {
         let Inline { text } = words.into();
         if !text.is_empty() {
-            self.block(&(text + "\n"));
+            self.push_block(&(text + "\n"));
         }
     }
 
@@ -112,7 +112,7 @@ impl Markdown {
         let line = |(depth, entry): (usize, I)| format!("{}- {}\n", "  ".repeat(depth), entry.into().text);
         let lines: String = entries.into_iter().map(line).collect();
         if !lines.is_empty() {
-            self.block(&lines);
+            self.push_block(&lines);
         }
     }
 
@@ -124,17 +124,17 @@ impl Markdown {
     /// A table: cells and how each column is set, in the words of Markdown.
     pub(crate) fn table(&mut self, header: &[String], columns: &[&str], rows: impl Iterator<Item = Vec<String>>) {
         let line = |cells: &[String]| {
-            let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).cell()).collect();
+            let cells: Vec<_> = cells.iter().map(|cell| Inline::prose(cell).to_table_cell()).collect();
             format!("| {} |\n", cells.join(" | "))
         };
         let rows: String = rows.map(|row| line(&row)).collect();
-        self.block(&format!("{}| {} |\n{rows}", line(header), columns.join(" | ")));
+        self.push_block(&format!("{}| {} |\n{rows}", line(header), columns.join(" | ")));
     }
 
     /// All blocks of another text.
     pub(crate) fn append(&mut self, other: &Self) {
         if !other.text.is_empty() {
-            self.block(&other.text);
+            self.push_block(&other.text);
         }
     }
 

@@ -1,7 +1,7 @@
 //! What convex programs say no driver can do, no driver does.
 
-use super::{Checked, Finding, Question, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::Invariant;
 use crumple_search::worst_case::AvoidanceVerdict;
 use crumple_world::sim::Outcome;
 
@@ -15,19 +15,19 @@ const MAX_STEPS: usize = 500;
 ///
 /// # Errors
 /// [`Law::Avoidability`].
-pub fn avoidability_bound_holds(question: &Question<'_>) -> Finding {
-    let is_long = question.test_case.scenario.steps() > MOST_STEPS;
+pub fn avoidability_bound_holds(question: &OracleContext<'_>) -> OracleResult {
+    let is_long = question.test_case.scenario.steps() > MAX_STEPS;
     if is_long || question.result.outcome != Outcome::NoCollision {
-        return Ok(Checked::DoesNotApply);
+        return Ok(OracleOutcome::NotApplicable);
     }
-    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else { return Ok(Checked::DoesNotApply) };
+    let Some(avoidance) = question.system.avoid(&question.test_case.scenario) else { return Ok(OracleOutcome::NotApplicable) };
     let unavoidable = matches!(avoidance.verdict, AvoidanceVerdict::Unavoidable(_));
-    must(!unavoidable, Law::Avoidability, || "it ends without contact and is `unavoidable`".to_owned())?;
+    ensure(!unavoidable, Invariant::Avoidability, || "it ends without contact and is `unavoidable`".to_owned())?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
     let (smallest_m, bound_m) = (gaps_m.fold(f64::INFINITY, f64::min), avoidance.min_gap_bound_m);
     let possible = bound_m.is_none_or(|bound_m| smallest_m <= bound_m + ROUNDING_M);
-    must(possible, Law::Avoidability, || {
+    ensure(possible, Invariant::Avoidability, || {
         format!("its smallest gap is {smallest_m} m, and nobody keeps {bound_m:?} m")
     })?;
-    Ok(if bound_m.is_some() { Checked::Holds } else { Checked::DoesNotApply })
+    Ok(if bound_m.is_some() { OracleOutcome::Holds } else { OracleOutcome::NotApplicable })
 }

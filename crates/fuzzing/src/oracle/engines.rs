@@ -1,16 +1,16 @@
 //! The two engines are one.
 
-use super::{Checked, Finding, Question, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::Invariant;
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::{RecordingLevel, Run, Simulated, Track};
+use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Track};
 
 /// The batch engine gives the scalar engine's results to the last bit, whatever shares a block with a run: here the test case
 /// itself twice, and the same line of vehicles with other noise, slower, on another road.
 ///
 /// # Errors
 /// [`Law::Engines`].
-pub fn engines_agree(question: &Question<'_>) -> Finding {
+pub fn engines_agree(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let others = [
         scenario.edited(|spec| (spec.seed, spec.duration_s) = (spec.seed ^ 1, spec.duration_s + spec.step_s)),
@@ -22,33 +22,33 @@ pub fn engines_agree(question: &Question<'_>) -> Finding {
     let others: Vec<Scenario> = others.into_iter().flatten().collect();
     let scenarios = [scenario].into_iter().chain(&others).chain([scenario]);
     let runs = scenarios.map(|scenario| Run::new(scenario, question.run.options().clone()));
-    let runs = runs.collect::<Result<Vec<_>, _>>().map_err(|error| (Law::Engines, error.to_string()))?;
+    let runs = runs.collect::<Result<Vec<_>, _>>().map_err(|error| (Invariant::Engines, error.to_string()))?;
     let traced = question.system.simulate_batch(&runs, RecordingLevel::Trace);
     let summed = question.system.simulate_batch(&runs, RecordingLevel::Summary);
     let results = [traced.len(), summed.len()];
-    must(results == [runs.len(); 2], Law::Engines, || format!("{results:?} results of {} runs", runs.len()))?;
+    ensure(results == [runs.len(); 2], Invariant::Engines, || format!("{results:?} results of {} runs", runs.len()))?;
     for (index, ((run, traced), summed)) in runs.iter().zip(&traced).zip(&summed).enumerate() {
         let is_the_trial = std::ptr::eq(run.scenario().spec(), scenario.spec());
         let mut alone =
             if is_the_trial { question.result.clone() } else { question.system.simulate(run, RecordingLevel::Trace) };
-        must(bits(&alone) == bits(traced), Law::Engines, || format!("run {index}: {}", difference(&alone, traced)))?;
+        ensure(result_bits(&alone) == result_bits(traced), Invariant::Engines, || format!("run {index}: {}", first_difference(&alone, traced)))?;
         alone.trace = None;
-        must(bits(&alone) == bits(summed), Law::Engines, || {
-            format!("run {index} without trace: {}", difference(&alone, summed))
+        ensure(result_bits(&alone) == result_bits(summed), Invariant::Engines, || {
+            format!("run {index} without trace: {}", first_difference(&alone, summed))
         })?;
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
 /// Everything a result holds, as bits: 0 and -0 are different here.
 #[must_use]
-pub fn result_bits(result: &Simulated) -> Vec<u64> {
-    numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
+pub fn result_bits(result: &SimulationResult) -> Vec<u64> {
+    result_numbers(result).iter().map(|(.., number)| number.to_bits()).collect()
 }
 
 /// Where two results differ first.
-fn first_difference(alone: &Simulated, batch: &Simulated) -> String {
-    let (one, other) = (numbers(alone), numbers(batch));
+fn first_difference(alone: &SimulationResult, batch: &SimulationResult) -> String {
+    let (one, other) = (result_numbers(alone), result_numbers(batch));
     let differing = one.iter().zip(&other).find(|(one, other)| one.2.to_bits() != other.2.to_bits());
     let outcomes = format!("alone {:?}, in the batch {:?}", alone.outcome, batch.outcome);
     match differing {
@@ -58,7 +58,7 @@ fn first_difference(alone: &Simulated, batch: &Simulated) -> String {
 }
 
 /// Everything a result holds: a name, the index of the impact, vehicle or sample, and the number.
-fn result_numbers(result: &Simulated) -> Vec<(&'static str, usize, f64)> {
+fn result_numbers(result: &SimulationResult) -> Vec<(&'static str, usize, f64)> {
     let mut numbers = Vec::new();
     for (index, impact) in result.impacts.iter().enumerate() {
         let contact = &impact.contact;

@@ -1,7 +1,7 @@
 //! What vehicles see is near the truth.
 
-use super::{Checked, Finding, Question, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::Invariant;
 use crumple_world::estimate::{BANDWIDTH_RAD_PER_S, EgoTuning};
 use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
 use crumple_world::scenario::{Driver, VehicleSpec};
@@ -21,8 +21,8 @@ const MAX_DEVIATIONS: f64 = 12.0;
 ///
 /// # Errors
 /// [`Law::Estimates`].
-pub fn estimates_within_bounds(question: &Question<'_>) -> Finding {
-    let bounds = EstimateBounds::of(question);
+pub fn estimates_within_bounds(question: &OracleContext<'_>) -> OracleResult {
+    let bounds = EstimateBounds::new(question);
     let mut finding = None;
     let tracks = question.result.trace.iter().flat_map(|trace| &trace.vehicles);
     let in_lane_s: Vec<[f64; 2]> = tracks.map(|track| track.in_lane_s).collect();
@@ -30,23 +30,23 @@ pub fn estimates_within_bounds(question: &Question<'_>) -> Finding {
     let estimates = |vehicle: &VehicleSpec| {
         vehicle.driver == Driver::UnderTest && question.run.options().estimator == EstimatorKind::Kalman
     };
-    question.system.observe(&question.run, &mut |sight| {
+    question.system.for_each_observation(&question.run, &mut |sight| {
         let is_there = |vehicle: usize| {
             in_lane_s.get(vehicle).is_none_or(|&[from_s, to_s]| {
-                let now_s = sight.time_s + SAME_INSTANT_S;
+                let now_s = sight.time_s + TIME_TOLERANCE_S;
                 from_s <= now_s && now_s < to_s
             })
         };
-        let truth = truth(sight.motion, vehicles, sight.vehicle, is_there);
+        let truth = true_observation(sight.motion, vehicles, sight.vehicle, is_there);
         let problem = match vehicles.get(sight.vehicle) {
-            Some(vehicle) if estimates(vehicle) => bounds.problem(&sight.seen, &truth),
-            _ => (sight.seen != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.seen)),
+            Some(vehicle) if estimates(vehicle) => bounds.find_problem(&sight.observation, &truth),
+            _ => (sight.observation != truth).then(|| format!("it sees {:?}, the truth is {truth:?}", sight.observation)),
         };
         finding = problem.map(|problem| format!("vehicle {}: {problem}", sight.vehicle));
         finding.is_none()
     });
-    must(finding.is_none(), Law::Estimates, || finding.unwrap_or_default())?;
-    Ok(Checked::Holds)
+    ensure(finding.is_none(), Invariant::Estimates, || finding.unwrap_or_default())?;
+    Ok(OracleOutcome::Holds)
 }
 
 /// What is true for a vehicle, among those that are in the lane.
@@ -77,10 +77,10 @@ struct EstimateBounds {
 }
 
 impl EstimateBounds {
-    fn new(question: &Question<'_>) -> Self {
+    fn new(question: &OracleContext<'_>) -> Self {
         let spec = question.test_case.scenario.spec();
         if spec.sensors.dropout > 0.0 {
-            return Self { gap_m: f64::INFINITY, own_mps: f64::INFINITY, neighbour_mps: f64::INFINITY };
+            return Self { gap_m: f64::INFINITY, own_speed_mps: f64::INFINITY, neighbour_speed_mps: f64::INFINITY };
         }
         let tuning = EgoTuning::new(spec.step_s, &spec.sensors);
         let [gap_deviation_m, rate_deviation_mps, _] = tuning.gap().steady_deviations();
@@ -92,21 +92,21 @@ impl EstimateBounds {
         // Two vehicles may each do their worst, in opposite directions.
         let lag_mps = 3.0 * (2.0 * hardest_mps2 / BANDWIDTH_RAD_PER_S + jumps_mps);
         Self {
-            gap_m: lag_mps / BANDWIDTH_RAD_PER_S + DEVIATIONS * gap_deviation_m,
-            own_mps: lag_mps + DEVIATIONS * own_deviation_mps,
-            neighbour_mps: 2.0 * lag_mps + DEVIATIONS * own_deviation_mps.hypot(rate_deviation_mps),
+            gap_m: lag_mps / BANDWIDTH_RAD_PER_S + MAX_DEVIATIONS * gap_deviation_m,
+            own_speed_mps: lag_mps + MAX_DEVIATIONS * own_deviation_mps,
+            neighbour_speed_mps: 2.0 * lag_mps + MAX_DEVIATIONS * own_deviation_mps.hypot(rate_deviation_mps),
         }
     }
 
     fn find_problem(&self, seen: &Observation, truth: &Observation) -> Option<String> {
         let own_off_mps = (seen.speed_mps - truth.speed_mps).abs();
-        if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_mps) {
+        if !(seen.speed_mps >= 0.0 && seen.acceleration_mps2.is_finite() && own_off_mps <= self.own_speed_mps) {
             return Some(format!("it sees itself at {} m/s, the truth is {} m/s", seen.speed_mps, truth.speed_mps));
         }
         for (seen, truth) in [(seen.ahead, truth.ahead), (seen.behind, truth.behind)] {
             match (seen, truth) {
                 (None, None) => {}
-                (Some(seen), Some(truth)) if self.allows(&seen, &truth) => {}
+                (Some(seen), Some(truth)) if self.contains(&seen, &truth) => {}
                 (seen, truth) => return Some(format!("it sees {seen:?}, the truth is {truth:?}")),
             }
         }
@@ -118,6 +118,6 @@ impl EstimateBounds {
         finite
             && seen.speed_mps >= 0.0
             && (seen.gap_m - truth.gap_m).abs() <= self.gap_m
-            && (seen.speed_mps - truth.speed_mps).abs() <= self.neighbour_mps
+            && (seen.speed_mps - truth.speed_mps).abs() <= self.neighbour_speed_mps
     }
 }

@@ -1,18 +1,18 @@
 //! Scenario files keep scenarios.
 
-use super::{Checked, Finding, Question, must};
-use crate::{FileFormat, Law};
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::{ScenarioFormat, Invariant};
 
 /// A scenario survives both file formats, to the last bit of every number.
 ///
 /// # Errors
 /// [`Law::Files`].
-pub fn files_round_trip(question: &Question<'_>) -> Finding {
+pub fn files_round_trip(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
-    for format in FileFormat::ALL {
-        let back = question.system.through_file(scenario, format);
-        let back = back.map_err(|error| (Law::Files, format!("{format:?}: {error}")))?;
-        must(back == *scenario, Law::Files, || format!("{format:?}: it came back as {:?}", back.spec()))?;
+    for format in ScenarioFormat::ALL {
+        let back = question.system.file_round_trip(scenario, format);
+        let back = back.map_err(|error| (Invariant::Files, format!("{format:?}: {error}")))?;
+        ensure(back == *scenario, Invariant::Files, || format!("{format:?}: it came back as {:?}", back.spec()))?;
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }

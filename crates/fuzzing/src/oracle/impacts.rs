@@ -1,7 +1,7 @@
 //! What impacts do: vehicles stick together with common momentum.
 
-use super::{Checked, Finding, Question, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::Invariant;
 use crumple_world::sim::{AfterContact, Impact, Trace};
 
 /// Where two vehicles that stick together may seem to be apart, in metres.
@@ -11,20 +11,20 @@ const CONTACT_TOLERANCE_M: f64 = 1e-8;
 ///
 /// # Errors
 /// [`Law::Momentum`], [`Law::Energy`] or [`Law::Sticking`].
-pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
+pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     let impacts = &question.result.impacts;
     for impact in impacts {
-        check(trace, impact)?;
+        check_impact(trace, impact)?;
     }
     if question.run.options().after_contact == AfterContact::Stop {
-        must(impacts.len() <= 1, Law::Sticking, || format!("{} impacts in a run that ends at one", impacts.len()))?;
-        return Ok(Checked::Holds);
+        ensure(impacts.len() <= 1, Invariant::Sticking, || format!("{} impacts in a run that ends at one", impacts.len()))?;
+        return Ok(OracleOutcome::Holds);
     }
     for (index, impact) in impacts.iter().enumerate() {
         let rear = impact.contact.rear_vehicle;
         let again = impacts.iter().skip(index + 1).any(|later| later.contact.rear_vehicle == rear);
-        must(!again, Law::Sticking, || format!("vehicle {rear} hits the same vehicle twice"))?;
+        ensure(!again, Invariant::Sticking, || format!("vehicle {rear} hits the same vehicle twice"))?;
         let pairs = trace.pairs(rear);
         let Some(pair) = pairs.last() else { continue };
         let speeds = |sample: usize| pair.front.speed_mps.get(sample).zip(pair.rear.speed_mps.get(sample));
@@ -33,15 +33,15 @@ pub fn impacts_are_inelastic(question: &Question<'_>) -> Finding {
         for (t, gap_m, (front, behind)) in samples {
             let together = gap_m.abs() < CONTACT_TOLERANCE_M && front == behind;
             let is_after = *t > impact.contact.time_s + 1e-9;
-            must(!is_after || together, Law::Sticking, || {
+            ensure(!is_after || together, Invariant::Sticking, || {
                 format!("vehicle {rear} at {t} s: {gap_m} m from what it hit, {behind} against {front} m/s")
             })?;
         }
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
-fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
+fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Invariant, String)> {
     let contact = &impact.contact;
     let mass_kg = |vehicles: std::ops::RangeInclusive<usize>| -> f64 {
         let involved = vehicles.filter(|vehicle| !impact.beside.contains(vehicle));
@@ -56,14 +56,14 @@ fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), (Law, String)> {
     };
     let momentum = front_kg * front_mps + rear_kg * rear_mps;
     let kept = (momentum - (front_kg + rear_kg) * common_mps).abs() <= 1e-9 * momentum.max(1.0);
-    must(kept, Law::Momentum, || at("momentum is not kept"))?;
+    ensure(kept, Invariant::Momentum, || at("momentum is not kept"))?;
     let energy = front_kg * front_mps * front_mps + rear_kg * rear_mps * rear_mps;
     let left = (front_kg + rear_kg) * common_mps * common_mps;
-    must(left <= energy * (1.0 + 1e-12), Law::Energy, || at("energy is gained"))?;
+    ensure(left <= energy * (1.0 + 1e-12), Invariant::Energy, || at("energy is gained"))?;
     let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
-    must(apart_mps <= 1e-9, Law::Momentum, || at("the impact speed is another"))?;
-    must(contact.impact_speed_mps >= -1e-9, Law::Continuity, || at("nobody drives into a faster vehicle ahead"))?;
+    ensure(apart_mps <= 1e-9, Invariant::Momentum, || at("the impact speed is another"))?;
+    ensure(contact.impact_speed_mps >= -1e-9, Invariant::Continuity, || at("nobody drives into a faster vehicle ahead"))?;
     let gained = impact.delta_v_mps(contact.front_vehicle) - (common_mps - front_mps);
     let lost = impact.delta_v_mps(contact.rear_vehicle) - (rear_mps - common_mps);
-    must(gained.abs() < 1e-12 && lost.abs() < 1e-12, Law::Momentum, || at("a change of speed is told wrong"))
+    ensure(gained.abs() < 1e-12 && lost.abs() < 1e-12, Invariant::Momentum, || at("a change of speed is told wrong"))
 }

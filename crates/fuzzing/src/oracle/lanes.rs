@@ -1,11 +1,11 @@
 //! Who is in the lane: told once, and nobody else counts.
 
-use super::engines::bits;
-use super::{Checked, Finding, Question, must};
-use crate::Law;
-use crumple_world::measure::Ahead;
+use super::engines::result_bits;
+use super::{OracleOutcome, OracleResult, OracleContext, ensure};
+use crate::Invariant;
+use crumple_world::measure::LeadMeasures;
 use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
-use crumple_world::sim::{AfterContact, RecordingLevel, Run, Simulated, Track};
+use crumple_world::sim::{AfterContact, RecordingLevel, Run, SimulationResult, Track};
 
 /// Instants and gaps that are one but for rounding, in seconds and metres.
 const TOLERANCE: f64 = 1e-6;
@@ -15,26 +15,26 @@ const TOLERANCE: f64 = 1e-6;
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn lane_times_are_consistent(question: &Question<'_>) -> Finding {
+pub fn lane_times_are_consistent(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result) = (question.trace()?, &question.result);
     for (vehicle, (track, spec)) in trace.vehicles.iter().zip(question.test_case.scenario.vehicles()).enumerate() {
         let [from_s, to_s] = track.in_lane_s;
         let at = |what: &str| format!("vehicle {vehicle} {what}: in the lane from {from_s} to {to_s} s");
-        must(from_s <= to_s, Law::Lanes, || at("leaves before it enters"))?;
-        must(!spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S, Law::Lanes, || at("keeps the lane"))?;
-        must(spec.enters.is_some() == (from_s >= 0.0), Law::Lanes, || at("enters, or was there from the start"))?;
+        ensure(from_s <= to_s, Invariant::Lanes, || at("leaves before it enters"))?;
+        ensure(!spec.keeps_lane() || track.in_lane_s == Track::THROUGHOUT_S, Invariant::Lanes, || at("keeps the lane"))?;
+        ensure(spec.enters.is_some() == (from_s >= 0.0), Invariant::Lanes, || at("enters, or was there from the start"))?;
     }
     for impact in &result.impacts {
         let time_s = impact.contact.time_s;
         let is_there = |vehicle: usize| {
             trace.vehicles.get(vehicle).is_some_and(|track| {
                 let [from_s, to_s] = track.in_lane_s;
-                from_s <= time_s + SAME && time_s - SAME <= to_s
+                from_s <= time_s + TOLERANCE && time_s - TOLERANCE <= to_s
             })
         };
         for vehicle in impact.first_involved..=impact.last_involved {
             let is_beside = impact.beside.contains(&vehicle);
-            must(is_beside || is_there(vehicle), Law::Lanes, || {
+            ensure(is_beside || is_there(vehicle), Invariant::Lanes, || {
                 format!("vehicle {vehicle} is hit beside the lane at {time_s} s")
             })?;
         }
@@ -42,20 +42,20 @@ pub fn lane_times_are_consistent(question: &Question<'_>) -> Finding {
     // Between two samples a trace does not say what an impact did to speeds.
     let goes_on = question.run.options().after_contact == AfterContact::Continue && !result.impacts.is_empty();
     for (index, summary) in result.vehicles.iter().enumerate().filter(|_| !goes_on) {
-        let measured_m = Ahead::of(trace, &result.impacts, index).and_then(|ahead| ahead.min_gap_m);
+        let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index).and_then(|ahead| ahead.min_gap_m);
         let [told_m, seen_m] = [summary.min_gap_m, measured_m].map(|gap_m| gap_m.unwrap_or(f64::INFINITY));
-        must(told_m == seen_m || (told_m - seen_m).abs() < SAME, Law::Lanes, || {
+        ensure(told_m == seen_m || (told_m - seen_m).abs() < TOLERANCE, Invariant::Lanes, || {
             format!("vehicle {index}: its smallest gap is {told_m} m, and {seen_m} m on its trace")
         })?;
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
 /// To enter at the start is to have been there: the same run, to the last bit, but for the times in the lane.
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn entering_at_start_changes_nothing(question: &Question<'_>) -> Finding {
+pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let changed = |to: Option<LaneChange>| {
         scenario.edited(|spec: &mut ScenarioSpec| {
@@ -64,24 +64,24 @@ pub fn entering_at_start_changes_nothing(question: &Question<'_>) -> Finding {
     };
     // Who leaves at 0 s cannot enter then.
     let (Ok(enters), Ok(there)) = (changed(Some(LaneChange::At(0.0))), changed(None)) else {
-        return Ok(Checked::DoesNotApply);
+        return Ok(OracleOutcome::NotApplicable);
     };
     if enters == there {
-        return Ok(Checked::DoesNotApply);
+        return Ok(OracleOutcome::NotApplicable);
     }
-    let [enters, there] = [enters, there].map(|twin| run(question, &twin).map(without_lanes));
-    let (Some(enters), Some(there)) = (enters, there) else { return Ok(Checked::DoesNotApply) };
-    must(bits(&enters) == bits(&there), Law::Lanes, || {
+    let [enters, there] = [enters, there].map(|twin| simulate_variant(question, &twin).map(without_lane_times));
+    let (Some(enters), Some(there)) = (enters, there) else { return Ok(OracleOutcome::NotApplicable) };
+    ensure(result_bits(&enters) == result_bits(&there), Invariant::Lanes, || {
         format!("entering at 0 s ends with {:?}, being there with {:?}", enters.outcome, there.outcome)
     })?;
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
 /// Behind those who look ahead alone and change lanes by the clock, the last vehicle may leave or stay: up to the first impact the others move alike, to the last bit.
 ///
 /// # Errors
 /// [`Law::Lanes`].
-pub fn leaving_last_vehicle_changes_nothing_ahead(question: &Question<'_>) -> Finding {
+pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let looks_ahead = |vehicle: &VehicleSpec| match &vehicle.driver {
         Driver::Controller(spec) => spec.policy().is_none(),
@@ -92,37 +92,37 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &Question<'_>) -> Fi
             (last.enters, last.leaves) = (None, None);
         }
     });
-    let Ok(keeps) = keeps else { return Ok(Checked::DoesNotApply) };
+    let Ok(keeps) = keeps else { return Ok(OracleOutcome::NotApplicable) };
     // A gap or a time to collision may be that to the last vehicle.
     let is_by_time = |change: &LaneChange| matches!(change, LaneChange::At(_));
     let others = scenario.vehicles().iter().rev().skip(1).flat_map(|vehicle| [vehicle.enters, vehicle.leaves]);
     let is_free = others.flatten().all(|change| is_by_time(&change));
     if keeps == *scenario || !is_free || !scenario.vehicles().iter().all(looks_ahead) {
-        return Ok(Checked::DoesNotApply);
+        return Ok(OracleOutcome::NotApplicable);
     }
-    let Some(stays) = run(question, &keeps) else { return Ok(Checked::DoesNotApply) };
+    let Some(stays) = simulate_variant(question, &keeps) else { return Ok(OracleOutcome::NotApplicable) };
     let until_s = [&question.result, &stays].into_iter().filter_map(|result| result.impacts.first());
     let until_s = until_s.map(|impact| impact.contact.time_s).fold(f64::INFINITY, f64::min);
-    let (Some(with), Some(without)) = (&question.result.trace, &stays.trace) else { return Ok(Checked::DoesNotApply) };
+    let (Some(with), Some(without)) = (&question.result.trace, &stays.trace) else { return Ok(OracleOutcome::NotApplicable) };
     let samples = with.time_s.iter().take_while(|&&time_s| time_s < until_s).count().saturating_sub(1);
     let others = with.vehicles.len().saturating_sub(1);
     for (vehicle, (left, stayed)) in with.vehicles.iter().zip(&without.vehicles).take(others).enumerate() {
         let differs =
             left.position_m.iter().zip(&stayed.position_m).take(samples).position(|(one, other)| one != other);
-        must(differs.is_none(), Law::Lanes, || {
+        ensure(differs.is_none(), Invariant::Lanes, || {
             format!("vehicle {vehicle} moves otherwise from sample {differs:?} on, for one behind it has left")
         })?;
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
-fn simulate_variant(question: &Question<'_>, scenario: &Scenario) -> Option<Simulated> {
+fn simulate_variant(question: &OracleContext<'_>, scenario: &Scenario) -> Option<SimulationResult> {
     let run = Run::new(scenario, question.run.options().clone()).ok()?;
     Some(question.system.simulate(&run, RecordingLevel::Trace))
 }
 
 /// Everything but the times in the lane.
-fn without_lane_times(mut result: Simulated) -> Simulated {
+fn without_lane_times(mut result: SimulationResult) -> SimulationResult {
     for track in result.trace.iter_mut().flat_map(|trace| &mut trace.vehicles) {
         track.in_lane_s = Track::THROUGHOUT_S;
     }

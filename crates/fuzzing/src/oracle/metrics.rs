@@ -1,22 +1,22 @@
 //! Verdict, summary, trace and report tell one story.
 
-use super::{Checked, Finding, Question, ROUNDING_M, grazes, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, is_grazing, ensure};
+use crate::Invariant;
 use crumple_world::measure::ContactRole;
 use crumple_world::scenario::Driver;
-use crumple_world::sim::{AfterContact, Outcome, Pair};
+use crumple_world::sim::{AfterContact, Outcome, VehiclePair};
 
 /// The recorded motion, the outcome and whose contact it is said to be agree, and no vehicle goes beyond what road and
 /// vehicle allow.
 ///
 /// # Errors
 /// [`Law::OneStory`], [`Law::Limits`] or [`Law::ContactRole`].
-pub fn metrics_agree(question: &Question<'_>) -> Finding {
+pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     let (trace, result, scenario) = (question.trace()?, &question.result, &question.test_case.scenario);
-    let story = |holds: bool, finding: &dyn Fn() -> String| must(holds, Law::OneStory, finding);
+    let story = |holds: bool, finding: &dyn Fn() -> String| ensure(holds, Invariant::MetricsAgree, finding);
     let stops = question.run.options().after_contact == AfterContact::Stop;
     let first = result.impacts.first().map(|impact| impact.contact);
-    let told = result.outcome.contact().copied() == first || result.outcome.failed().is_some();
+    let told = result.outcome.contact().copied() == first || result.outcome.failed_controller().is_some();
     story(told, &|| "the outcome is not the first impact".to_owned())?;
     let in_order = result.impacts.windows(2).all(|pair| match pair {
         [before, after] => before.contact.time_s <= after.contact.time_s,
@@ -43,7 +43,7 @@ pub fn metrics_agree(question: &Question<'_>) -> Finding {
         if pairs.is_empty() {
             continue;
         }
-        let gaps_m: Vec<f64> = pairs.iter().flat_map(Pair::gaps_m).map(|(_, gap_m)| gap_m).collect();
+        let gaps_m: Vec<f64> = pairs.iter().flat_map(VehiclePair::gaps_m).map(|(_, gap_m)| gap_m).collect();
         let sampled_m = gaps_m.iter().copied().fold(f64::INFINITY, f64::min);
         let min_gap_m = summary.min_gap_m.unwrap_or(f64::NAN);
         let below = min_gap_m <= sampled_m.max(0.0) + ROUNDING_M;
@@ -57,23 +57,23 @@ pub fn metrics_agree(question: &Question<'_>) -> Finding {
             continue;
         }
         story(touches == (min_gap_m == 0.0), &|| format!("vehicle {index} touches: {touches}, gap {min_gap_m} m"))?;
-        let through = !touches && sampled_m <= 0.0 && !grazes(result);
+        let through = !touches && sampled_m <= 0.0 && !is_grazing(result);
         story(!through, &|| format!("vehicle {index} passes through another: a gap of {sampled_m} m, and no contact"))?;
         let in_contact = !touches || ends_m.abs() < ROUNDING_M;
         story(in_contact, &|| format!("vehicle {index} touches, but is {ends_m} m away"))?;
     }
-    limits(question)?;
-    role(question)?;
-    Ok(Checked::Holds)
+    check_limits(question)?;
+    check_contact_role(question)?;
+    Ok(OracleOutcome::Holds)
 }
 
 /// Only a controller from outside fails.
-fn can_controller_fail(question: &Question<'_>) -> bool {
-    question.run.options().controller.is_from_outside()
+fn can_controller_fail(question: &OracleContext<'_>) -> bool {
+    question.run.options().controller.is_external()
 }
 
 /// Where there is neither noise nor an impact that pushes, accelerations are within limits.
-fn check_limits(question: &Question<'_>) -> Result<(), (Law, String)> {
+fn check_limits(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
         let involved = |impact: &crumple_world::sim::Impact| impact.involves(index);
@@ -85,7 +85,7 @@ fn check_limits(question: &Question<'_>) -> Result<(), (Law, String)> {
         let usable_mps2 = vehicle.max_brake_mps2() * scenario.spec().environment.friction;
         let allowed = -usable_mps2 - 1e-12..=vehicle.max_accel_mps2() + 1e-12;
         let beyond = track.acceleration_mps2.iter().find(|a| !allowed.contains(*a));
-        must(beyond.is_none(), Law::Limits, || {
+        ensure(beyond.is_none(), Invariant::Limits, || {
             format!("vehicle {index} accelerates at {beyond:?} m/s², not {allowed:?}")
         })?;
     }
@@ -93,7 +93,7 @@ fn check_limits(question: &Question<'_>) -> Result<(), (Law, String)> {
 }
 
 /// Whose contact it was, judged by the trace alone: by the pair whose gap is closed at its end.
-fn check_contact_role(question: &Question<'_>) -> Result<(), (Law, String)> {
+fn check_contact_role(question: &OracleContext<'_>) -> Result<(), (Invariant, String)> {
     let (trace, scenario) = (question.trace()?, &question.test_case.scenario);
     let Some(contact) = question.result.outcome.contact() else { return Ok(()) };
     let told = question.system.contact_role(contact, scenario);
@@ -109,5 +109,5 @@ fn check_contact_role(question: &Question<'_>) -> Result<(), (Law, String)> {
         ContactRole::IsHit => tested == (false, true),
         ContactRole::Bystander => tested == (false, false),
     };
-    must(agrees, Law::ContactRole, || format!("the contact is said to be {told:?}: {contact:?}"))
+    ensure(agrees, Invariant::ContactRole, || format!("the contact is said to be {told:?}: {contact:?}"))
 }

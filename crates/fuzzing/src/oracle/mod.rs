@@ -12,20 +12,20 @@ mod shield;
 mod step_size;
 mod metrics;
 
-use super::{Law, System, TestCase, Violation};
-use crumple_world::sim::{RecordingLevel, Run, Simulated, Trace};
+use super::{Invariant, System, TestCase, Violation};
+use crumple_world::sim::{RecordingLevel, Run, SimulationResult, Trace};
 
-pub use avoidability::nobody_does_the_impossible;
-pub use engines::{bits, engines_agree};
-pub use estimates::estimates_are_sane;
-pub use files::files_keep_scenarios;
+pub use avoidability::avoidability_bound_holds;
+pub use engines::{result_bits, engines_agree};
+pub use estimates::estimates_within_bounds;
+pub use files::files_round_trip;
 pub use impacts::impacts_are_inelastic;
-pub use lanes::{entering_at_once_is_being_there, lanes_are_kept, who_leaves_behind_changes_nothing_ahead};
+pub use lanes::{entering_at_start_changes_nothing, lane_times_are_consistent, leaving_last_vehicle_changes_nothing_ahead};
 pub use monitor::monitor_agrees;
 pub use motion::motion_is_physical;
-pub use shield::shield_keeps_clear;
-pub use step_size::{same_impacts, step_size_decides_nothing};
-pub use metrics::one_story;
+pub use shield::shield_prevents_front_collisions;
+pub use step_size::{check_same_impacts, step_size_changes_nothing};
+pub use metrics::metrics_agree;
 
 /// Where rounding may put a gap that is zero, in metres: positions are of the order of 10 km.
 pub(crate) const ROUNDING_M: f64 = 1e-9;
@@ -45,36 +45,36 @@ pub enum OracleOutcome {
 pub type OracleFn = fn(&OracleContext<'_>) -> OracleResult;
 
 /// What an oracle says: a broken law comes with what was seen.
-pub(crate) type OracleResult = Result<OracleOutcome, (Law, String)>;
+pub(crate) type OracleResult = Result<OracleOutcome, (Invariant, String)>;
 
 /// Every oracle, the cheapest first.
 pub const ORACLES: [OracleFn; 10] = [
     motion_is_physical,
-    one_story,
+    metrics_agree,
     impacts_are_inelastic,
-    files_keep_scenarios,
+    files_round_trip,
     monitor_agrees,
-    estimates_are_sane,
-    shield_keeps_clear,
+    estimates_within_bounds,
+    shield_prevents_front_collisions,
     engines_agree,
-    step_size_decides_nothing,
-    nobody_does_the_impossible,
+    step_size_changes_nothing,
+    avoidability_bound_holds,
 ];
 
 /// The oracles of scenarios in which vehicles enter or leave the lane. The others of [`ORACLES`] ask about a shield and about what
 /// anybody could do, which refuse such scenarios and say so.
 pub const LANE_ORACLES: [OracleFn; 11] = [
     motion_is_physical,
-    lanes_are_kept,
-    one_story,
+    lane_times_are_consistent,
+    metrics_agree,
     impacts_are_inelastic,
-    files_keep_scenarios,
+    files_round_trip,
     monitor_agrees,
-    estimates_are_sane,
-    entering_at_once_is_being_there,
-    who_leaves_behind_changes_nothing_ahead,
+    estimates_within_bounds,
+    entering_at_start_changes_nothing,
+    leaving_last_vehicle_changes_nothing_ahead,
     engines_agree,
-    step_size_decides_nothing,
+    step_size_changes_nothing,
 ];
 
 /// How many of [`ORACLES`], the first ones, look at one run only.
@@ -89,7 +89,7 @@ pub struct OracleContext<'t> {
     /// The test case made ready to run.
     pub run: Run,
     /// What came of it, with its trace.
-    pub result: Simulated,
+    pub result: SimulationResult,
 }
 
 impl<'t> OracleContext<'t> {
@@ -100,7 +100,7 @@ impl<'t> OracleContext<'t> {
     pub fn new(test_case: &'t TestCase, system: &'t dyn System) -> Result<Self, Violation> {
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
         let run = Run::new(&test_case.scenario, options).map_err(|error| Violation {
-            law: Law::Runs,
+            invariant: Invariant::Runnable,
             finding: error.to_string(),
             reproducer: test_case.reproducer(),
         })?;
@@ -114,24 +114,24 @@ impl<'t> OracleContext<'t> {
     /// The [`Violation`] it found.
     pub fn check(&self, oracle: OracleFn) -> Result<OracleOutcome, Violation> {
         let reproducer = || self.test_case.reproducer();
-        oracle(self).map_err(|(law, finding)| Violation { law, finding, reproducer: reproducer() })
+        oracle(self).map_err(|(law, finding)| Violation { invariant: law, finding, reproducer: reproducer() })
     }
 
     /// The trace of the run.
-    fn trace(&self) -> Result<&Trace, (Law, String)> {
-        self.result.trace.as_ref().ok_or_else(|| (Law::OneStory, "no trace was kept".to_owned()))
+    fn trace(&self) -> Result<&Trace, (Invariant, String)> {
+        self.result.trace.as_ref().ok_or_else(|| (Invariant::MetricsAgree, "no trace was kept".to_owned()))
     }
 }
 
 /// Whether two vehicles came so near to touching without it, or touched so softly, that rounding may decide the verdict.
 #[must_use]
-pub fn is_grazing(result: &Simulated) -> bool {
+pub fn is_grazing(result: &SimulationResult) -> bool {
     let near = |gap_m: f64| gap_m > 0.0 && gap_m < ROUNDING_M;
     let soft = result.impacts.iter().any(|impact| impact.contact.impact_speed_mps < 1e-6);
     soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
 }
 
 /// Goes on if a law holds, and says what was seen if not.
-fn ensure(holds: bool, law: Law, finding: impl FnOnce() -> String) -> Result<(), (Law, String)> {
+fn ensure(holds: bool, law: Invariant, finding: impl FnOnce() -> String) -> Result<(), (Invariant, String)> {
     if holds { Ok(()) } else { Err((law, finding())) }
 }

@@ -1,11 +1,11 @@
 //! Formulas of signal temporal logic are judged as they are defined, and "never touch" as the run was.
 
-use super::{Checked, Finding, Question, ROUNDING_M, grazes, must};
-use crate::Law;
-use crate::formula::any_formula;
+use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, is_grazing, ensure};
+use crate::Invariant;
+use crate::formula::formula_from_bytes;
 use crumple_world::measure::stl::naive_robustness;
 use crumple_world::measure::stl::{
-    Comparison, Formula, FormulaError, Interval, MonitorError, Relation, Signals, SignalsError,
+    LinearPredicate, Formula, FormulaError, TimeWindow, MonitorError, ComparisonOp, SampledSignals, SignalsError,
 };
 use crumple_world::sim::Trace;
 
@@ -20,22 +20,22 @@ const NO_VEHICLE_GAP_M: f64 = 1e6;
 ///
 /// # Errors
 /// [`Law::Monitor`].
-pub fn monitor_agrees(question: &Question<'_>) -> Finding {
+pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
-    let wrong = |finding: String| (Law::Monitor, finding);
+    let wrong = |finding: String| (Invariant::Monitor, finding);
     let step_s = question.run.dt_s();
-    let all = signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
+    let all = trace_signals(trace, step_s, 1).map_err(|error| wrong(error.to_string()))?;
     let apart = no_contact_formula(trace.vehicles.len()).map_err(|error| wrong(error.to_string()))?;
-    let robustness = first(question, &apart, &all)?;
+    let robustness = first_robustness(question, &apart, &all)?;
     let collided = !question.result.impacts.is_empty();
-    let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || grazes(&question.result) };
-    must(sign, Law::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
+    let sign = if collided { robustness <= ROUNDING_M } else { robustness > 0.0 || is_grazing(&question.result) };
+    ensure(sign, Invariant::Monitor, || format!("{apart} has robustness {robustness}, collided: {collided}"))?;
     let gaps_m = question.result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
     let least_m = gaps_m.fold(NO_VEHICLE_GAP_M, f64::min);
-    must(robustness >= least_m - ROUNDING_M, Law::Monitor, || {
+    ensure(robustness >= least_m - ROUNDING_M, Invariant::Monitor, || {
         format!("{apart} has robustness {robustness}, but the smallest gap of the run is {least_m} m")
     })?;
-    let few = signals(trace, step_s, trace.len().div_ceil(FEW)).map_err(|error| wrong(error.to_string()))?;
+    let few = trace_signals(trace, step_s, trace.len().div_ceil(MAX_SAMPLES)).map_err(|error| wrong(error.to_string()))?;
     let names: Vec<&str> = few.names().collect();
     // What is chosen here follows from the scenario alone, so that a test case stays one.
     let mut bytes = Vec::new();
@@ -44,45 +44,45 @@ pub fn monitor_agrees(question: &Question<'_>) -> Finding {
         bytes.extend(vehicle.speed_mps.to_bits().to_le_bytes());
     }
     bytes.extend(question.test_case.scenario.spec().seed.to_le_bytes());
-    let formula = any_formula(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
+    let formula = formula_from_bytes(&bytes, &names, few.step_s()).map_err(|error| wrong(error.to_string()))?;
     check_definition(question, &formula, &few)?;
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
 /// Robustness over time is that of the definition, and truth its sign.
-fn check_definition(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<(), (Law, String)> {
-    let wrong = |error: MonitorError| (Law::Monitor, format!("{formula}: {error}"));
+fn check_definition(question: &OracleContext<'_>, formula: &Formula, signals: &SampledSignals<'_>) -> Result<(), (Invariant, String)> {
+    let wrong = |error: MonitorError| (Invariant::Monitor, format!("{formula}: {error}"));
     let over_time = question.system.robustness_over_time(formula, signals).map_err(wrong)?;
     for (k, &value) in over_time.iter().enumerate() {
         let defined = naive_robustness(formula, signals, k).map_err(wrong)?;
-        must(value == defined, Law::Monitor, || format!("{formula} at sample {k}: {value}, defined as {defined}"))?;
+        ensure(value == defined, Invariant::Monitor, || format!("{formula} at sample {k}: {value}, defined as {defined}"))?;
     }
     let satisfied = question.system.is_satisfied(formula, signals).map_err(wrong)?;
     let sign = over_time.first().is_none_or(|&value| value == 0.0 || satisfied == (value > 0.0));
-    must(sign, Law::Monitor, || {
+    ensure(sign, Invariant::Monitor, || {
         format!("{formula} is satisfied: {satisfied}, but has robustness {:?}", over_time.first())
     })
 }
 
-fn first_robustness(question: &Question<'_>, formula: &Formula, signals: &Signals<'_>) -> Result<f64, (Law, String)> {
+fn first_robustness(question: &OracleContext<'_>, formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, (Invariant, String)> {
     let over_time = question.system.robustness_over_time(formula, signals);
-    let over_time = over_time.map_err(|error| (Law::Monitor, error.to_string()))?;
-    over_time.first().copied().ok_or_else(|| (Law::Monitor, "no robustness at the first sample".to_owned()))
+    let over_time = over_time.map_err(|error| (Invariant::Monitor, error.to_string()))?;
+    over_time.first().copied().ok_or_else(|| (Invariant::Monitor, "no robustness at the first sample".to_owned()))
 }
 
 /// Every gap is above zero, always.
 fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     let gap = |rear: usize| -> Result<Formula, FormulaError> {
-        let comparison = Comparison::new([(1.0, format!("gap{rear}_m"))], Relation::Above, 0.0)?;
-        Ok(Formula::Always(Interval::ALL, Box::new(Formula::Compare(comparison))))
+        let comparison = LinearPredicate::new([(1.0, format!("gap{rear}_m"))], ComparisonOp::Above, 0.0)?;
+        Ok(Formula::Always(TimeWindow::ALL, Box::new(Formula::Compare(comparison))))
     };
     (2..vehicles).try_fold(gap(1)?, |all, rear| Ok(Formula::And(Box::new(all), Box::new(gap(rear)?))))
 }
 
 /// Gaps and speeds of a trace, at every `every`-th sample.
-fn trace_signals(trace: &Trace, step_s: f64, every: usize) -> Result<Signals<'static>, SignalsError> {
+fn trace_signals(trace: &Trace, step_s: f64, every: usize) -> Result<SampledSignals<'static>, SignalsError> {
     let every = every.max(1);
-    let mut signals = Signals::new(step_s * every as f64, trace.len().div_ceil(every))?;
+    let mut signals = SampledSignals::new(step_s * every as f64, trace.len().div_ceil(every))?;
     for (index, track) in trace.vehicles.iter().enumerate() {
         let speeds: Vec<f64> = track.speed_mps.iter().copied().step_by(every).collect();
         signals.insert(format!("v{index}_mps"), speeds)?;

@@ -1,14 +1,14 @@
 //! How vehicles move: forwards, continuously, and never faster for braking.
 
-use super::{Checked, Finding, Question, ROUNDING_M, must};
-use crate::Law;
-use crumple_world::sim::Simulated;
+use super::{OracleOutcome, OracleResult, OracleContext, ROUNDING_M, ensure};
+use crate::Invariant;
+use crumple_world::sim::SimulationResult;
 
 /// No vehicle reverses; none is anywhere else than its speed can have taken it; braking never adds energy.
 ///
 /// # Errors
 /// [`Law::ForwardMotion`], [`Law::Continuity`] or [`Law::Energy`].
-pub fn motion_is_physical(question: &Question<'_>) -> Finding {
+pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
         let next = |values: &[f64]| values.iter().skip(1).copied().collect::<Vec<_>>();
@@ -19,25 +19,25 @@ pub fn motion_is_physical(question: &Question<'_>) -> Finding {
             let at = |what: &str| {
                 format!("vehicle {vehicle} {what} at sample {k}, {t} s: {x} to {x_next} m, {v} to {v_next} m/s")
             };
-            must(v >= 0.0 && v_next >= 0.0, Law::ForwardMotion, || at("reverses"))?;
-            must(x_next >= x, Law::ForwardMotion, || at("moves back"))?;
+            ensure(v >= 0.0 && v_next >= 0.0, Invariant::ForwardMotion, || at("reverses"))?;
+            ensure(x_next >= x, Invariant::ForwardMotion, || at("moves back"))?;
             if is_hit_between(&question.result, vehicle, t, t_next) {
                 continue;
             }
             let [slower, faster] = [v.min(v_next), v.max(v_next)].map(|mps| mps * (t_next - t));
             let stopped = v_next == 0.0;
-            must(x_next - x <= faster + ROUNDING_M, Law::Continuity, || at("leaps"))?;
-            must(stopped || x_next - x >= slower - ROUNDING_M, Law::Continuity, || at("lags behind its speed"))?;
-            must(a > 0.0 || v_next <= v, Law::Energy, || at("gains energy from its brakes"))?;
+            ensure(x_next - x <= faster + ROUNDING_M, Invariant::Continuity, || at("leaps"))?;
+            ensure(stopped || x_next - x >= slower - ROUNDING_M, Invariant::Continuity, || at("lags behind its speed"))?;
+            ensure(a > 0.0 || v_next <= v, Invariant::Energy, || at("gains energy from its brakes"))?;
             let gained_mps = a * (t_next - t);
-            must(stopped || (v_next - v - gained_mps).abs() <= 1e-9, Law::Continuity, || at("jumps in speed"))?;
+            ensure(stopped || (v_next - v - gained_mps).abs() <= 1e-9, Invariant::Continuity, || at("jumps in speed"))?;
         }
     }
-    Ok(Checked::Holds)
+    Ok(OracleOutcome::Holds)
 }
 
 /// Whether a vehicle was involved in an impact between two instants.
-fn is_hit_between(result: &Simulated, vehicle: usize, from_s: f64, to_s: f64) -> bool {
+fn is_hit_between(result: &SimulationResult, vehicle: usize, from_s: f64, to_s: f64) -> bool {
     result
         .impacts
         .iter()

@@ -1,9 +1,9 @@
 //! How finely motion is integrated decides nothing.
 
-use super::{Checked, Finding, Question, grazes, must};
-use crate::Law;
+use super::{OracleOutcome, OracleResult, OracleContext, is_grazing, ensure};
+use crate::Invariant;
 use crumple_world::scenario::ScenarioSpec;
-use crumple_world::sim::{Impact, RecordingLevel, Run, Simulated, Trace};
+use crumple_world::sim::{Impact, RecordingLevel, Run, SimulationResult, Trace};
 
 /// How much finer the second integration is.
 const REFINEMENT: usize = 10;
@@ -23,27 +23,27 @@ const EXPLAINED_SHARE: f64 = 0.01;
 ///
 /// # Errors
 /// [`Law::StepSize`].
-pub fn step_size_changes_nothing(question: &Question<'_>) -> Finding {
+pub fn step_size_changes_nothing(question: &OracleContext<'_>) -> OracleResult {
     let (run, coarse) = (&question.run, &question.result);
-    let options = run.options().clone().with_dt_s(run.dt_s() / FINER as f64);
-    let fine_run = Run::new(run.scenario(), options).map_err(|error| (Law::StepSize, error.to_string()))?;
+    let options = run.options().clone().with_dt_s(run.dt_s() / REFINEMENT as f64);
+    let fine_run = Run::new(run.scenario(), options).map_err(|error| (Invariant::StepSize, error.to_string()))?;
     let fine = question.system.simulate(&fine_run, RecordingLevel::Trace);
-    let Some(fine_trace) = &fine.trace else { return Err((Law::StepSize, "no trace was kept".to_owned())) };
-    held(fine_trace, &fine, fine_run.substeps()).map_err(|finding| (Law::StepSize, finding))?;
-    if grazes(coarse) || grazes(&fine) {
-        return Ok(Checked::Undecided);
+    let Some(fine_trace) = &fine.trace else { return Err((Invariant::StepSize, "no trace was kept".to_owned())) };
+    check_held_accelerations(fine_trace, &fine, fine_run.substeps()).map_err(|finding| (Invariant::StepSize, finding))?;
+    if is_grazing(coarse) || is_grazing(&fine) {
+        return Ok(OracleOutcome::Undecided);
     }
-    let apart_m = apart_m(coarse, &fine, FINER);
+    let apart_m = max_distance_m(coarse, &fine, REFINEMENT);
     if apart_m < TOLERANCE_M {
-        return Ok(Checked::Holds);
+        return Ok(OracleOutcome::Holds);
     }
     let explained = is_started_by_noise(question, fine_trace) || disturbance_effect_m(question) >= EXPLAINED_SHARE * apart_m;
-    must(explained, Law::StepSize, || format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome))?;
-    Ok(Checked::Undecided)
+    ensure(explained, Invariant::StepSize, || format!("{apart_m} m apart; {:?} became {:?}", coarse.outcome, fine.outcome))?;
+    Ok(OracleOutcome::Undecided)
 }
 
 /// Whether accelerations change only where a step of the scenario begins, or vehicles touch.
-fn check_held_accelerations(trace: &Trace, result: &Simulated, substeps: usize) -> Result<(), String> {
+fn check_held_accelerations(trace: &Trace, result: &SimulationResult, substeps: usize) -> Result<(), String> {
     let impacts_s: Vec<f64> = result.impacts.iter().map(|impact| impact.contact.time_s).collect();
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
         for (step, (held, times)) in
@@ -61,8 +61,8 @@ fn check_held_accelerations(trace: &Trace, result: &Simulated, substeps: usize) 
 
 /// How far two runs are apart at most at a sample of the first, or at an impact, in metres; infinitely far if their impacts
 /// are not between the same vehicles.
-fn max_distance_m(coarse: &Simulated, fine: &Simulated, finer: usize) -> f64 {
-    let who = |result: &Simulated| -> Vec<[usize; 3]> {
+fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, finer: usize) -> f64 {
+    let who = |result: &SimulationResult| -> Vec<[usize; 3]> {
         let of = |impact: &Impact| [impact.contact.rear_vehicle, impact.first_involved, impact.last_involved];
         result.impacts.iter().map(of).collect()
     };
@@ -89,11 +89,11 @@ fn max_distance_m(coarse: &Simulated, fine: &Simulated, finer: usize) -> f64 {
 ///
 /// A vehicle that stands and does not want to move is held, noise included; one that wants to move by as little as
 /// rounding is at the mercy of its noise.
-fn is_started_by_noise(question: &Question<'_>, fine: &Trace) -> bool {
+fn is_started_by_noise(question: &OracleContext<'_>, fine: &Trace) -> bool {
     let Some(coarse) = &question.result.trace else { return false };
     let first_differences =
         coarse.vehicles.iter().zip(&fine.vehicles).enumerate().filter_map(|(index, (track, fine))| {
-            let fine_mps = fine.speed_mps.iter().step_by(FINER);
+            let fine_mps = fine.speed_mps.iter().step_by(REFINEMENT);
             let differs = track.speed_mps.iter().zip(fine_mps).position(|(v, w)| (v - w).abs() > TOLERANCE_M)?;
             Some((differs, index))
         });
@@ -104,7 +104,7 @@ fn is_started_by_noise(question: &Question<'_>, fine: &Trace) -> bool {
 }
 
 /// How far the run goes elsewhere when all gaps, or all speeds, are changed by next to nothing, in metres.
-fn disturbance_effect_m(question: &Question<'_>) -> f64 {
+fn disturbance_effect_m(question: &OracleContext<'_>) -> f64 {
     let gaps = |by_m: f64| {
         move |spec: &mut ScenarioSpec| {
             spec.vehicles.iter_mut().zip(0_u32..).for_each(|(v, index)| v.position_m -= by_m * f64::from(index));
@@ -122,7 +122,7 @@ fn disturbance_effect_m(question: &Question<'_>) -> f64 {
     let twins = DISTURBANCES.into_iter().flat_map(|by| [scenario.edited(gaps(by)), scenario.edited(speeds(by))]);
     let apart = twins.flatten().filter_map(|twin| {
         let run = Run::new(&twin, question.run.options().clone()).ok()?;
-        Some(apart_m(&question.result, &question.system.simulate(&run, RecordingLevel::Trace), 1))
+        Some(max_distance_m(&question.result, &question.system.simulate(&run, RecordingLevel::Trace), 1))
     });
     apart.fold(0.0, f64::max)
 }
@@ -133,7 +133,7 @@ fn disturbance_effect_m(question: &Question<'_>) -> f64 {
 ///
 /// # Errors
 /// The first difference.
-pub fn check_same_impacts(before: &Simulated, after: &Simulated, shift: usize, shift_s: f64) -> Result<(), String> {
+pub fn check_same_impacts(before: &SimulationResult, after: &SimulationResult, shift: usize, shift_s: f64) -> Result<(), String> {
     if before.impacts.len() != after.impacts.len() {
         return Err(format!("{:?} became {:?}", before.outcome, after.outcome));
     }

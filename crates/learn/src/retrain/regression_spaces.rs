@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::plan::{REGRESSION_SEED, RetrainingPlan};
-use crate::rl::usefulness;
+use crate::rl::measure_usefulness;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
@@ -77,7 +77,7 @@ impl RegressionSpace {
             let runs = draws.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
             let found = simulate_batch(&runs, level, |_, result| {
                 let touched = result.outcome.contact().is_some();
-                (touched, touched || usefulness(&result).is_some_and(is_not_useful))
+                (touched, touched || measure_usefulness(&result).is_some_and(is_not_useful))
             });
             for (index, (touched, is_useless)) in found.into_iter().enumerate() {
                 let index = (block * BATCH_SIZE + index) as u64;

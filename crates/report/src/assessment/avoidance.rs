@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::gather_context::Work;
-use super::{Case, Rounded, StoreError};
-use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, is_about};
-use crumple_verify::{Accepted, Certificate, check};
+use super::gather_context::GatherContext;
+use super::{CaseResult, Rounded, CacheError};
+use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario};
+use crumple_verify::{ProvedClaim, Certificate, check};
 use crumple_world::scenario::{Scenario, file};
 
 /// Whether a contact was avoidable for any driver, and by how much.
@@ -37,7 +37,7 @@ pub enum RoundedAvoidance {
 impl RoundedAvoidance {
     /// The best, without a certificate of its bound.
     pub(super) fn compute(scenario: &Scenario) -> Self {
-        CertifiedAvoidance::find(scenario, AvoidOptions::default()).best
+        CertifiedAvoidance::compute(scenario, AvoidOptions::default()).avoidance
     }
 
     fn from_avoidance(Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance) -> Self {
@@ -56,9 +56,9 @@ impl RoundedAvoidance {
     /// How much more of the smallest gap the best escape found kept than the controller of a case, from the numbers as they are
     /// shown; none if none was found, or if others crashed first. Zero for a controller that did better than the
     /// profile that was found, which can only be within its grid.
-    pub(super) fn regret_m(&self, case: &Case) -> Option<Rounded<2>> {
+    pub(super) fn regret_m(&self, case: &CaseResult) -> Option<Rounded<2>> {
         match self {
-            Self::Avoidable { min_gap_m, .. } if case.verdict.counts() => {
+            Self::Avoidable { min_gap_m, .. } if case.verdict.is_conclusive() => {
                 Some(Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)))
             }
             _ => None,
@@ -110,35 +110,35 @@ pub(super) struct CertifiedAvoidance {
 
 impl CertifiedAvoidance {
     /// That of a scenario, computed only if no earlier run has kept it: then the checker looks at it again.
-    pub(super) fn load_or_compute(scenario: &Scenario, work: &Work<'_>) -> Result<Self, StoreError> {
-        let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
-        let find = || Self::find(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
+    pub(super) fn load_or_compute(scenario: &Scenario, work: &GatherContext<'_>) -> Result<Self, CacheError> {
+        let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
+        let find = || Self::compute(scenario, AvoidOptions { certify_bound: true, ..AvoidOptions::default() });
         let found: Self =
-            work.store.get(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, StoreError>(find()))?;
-        Ok(if found.holds(scenario) { found } else { find() })
+            work.cache.get_or_gather(&format!("best of {}", scenario.spec().name), &text, || Ok::<_, CacheError>(find()))?;
+        Ok(if found.is_valid_for(scenario) { found } else { find() })
     }
 
     fn compute(scenario: &Scenario, options: AvoidOptions) -> Self {
         match avoid(scenario, options) {
             Ok(avoidance) => {
-                let best = RoundedAvoidance::read(&avoidance);
+                let best = RoundedAvoidance::from_avoidance(&avoidance);
                 let certificate = match avoidance.verdict {
                     AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
                     AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => avoidance.bound_certificate,
                 };
-                Self { best, certificate: certificate.map(|certificate| *certificate) }
+                Self { avoidance: best, certificate: certificate.map(|certificate| *certificate) }
             }
-            Err(error) => Self { best: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None },
+            Err(error) => Self { avoidance: RoundedAvoidance::Undecided { reason: error.to_string() }, certificate: None },
         }
     }
 
     /// Whether what it says of every driver is what its certificate shows.
     fn is_valid_for(&self, scenario: &Scenario) -> bool {
-        let shown = self.certificate.as_ref().map(|certificate| (check(certificate), is_about(certificate, scenario)));
-        match (&self.best, shown) {
-            (RoundedAvoidance::Unavoidable, shown) => matches!(shown, Some((Ok(Accepted::Unavoidable { .. }), true))),
+        let shown = self.certificate.as_ref().map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
+        match (&self.avoidance, shown) {
+            (RoundedAvoidance::Unavoidable, shown) => matches!(shown, Some((Ok(ProvedClaim::Unavoidable { .. }), true))),
             (RoundedAvoidance::Avoidable { min_gap_bound_m: Some(bound_m), min_gap_bound_is_certified: true, .. }, shown) => {
-                matches!(shown, Some((Ok(Accepted::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
+                matches!(shown, Some((Ok(ProvedClaim::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
             }
             (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => shown.is_none(),
         }

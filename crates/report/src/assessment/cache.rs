@@ -130,8 +130,8 @@ impl EvidenceCache {
         Ok(Self {
             folder: Some(folder.to_owned()),
             program: program.to_owned(),
-            fresh,
-            gathered: Mutex::default(),
+            is_fresh: fresh,
+            log: Mutex::default(),
             _lock: Some(lock),
         })
     }
@@ -150,17 +150,17 @@ impl EvidenceCache {
         T: Serialize + DeserializeOwned,
         E: From<CacheError>,
     {
-        let inputs_sha256 = sha256(text(inputs)?);
+        let inputs_sha256 = sha256(to_json(inputs)?);
         let file = format!("{}.json", self.file_stem(name, &inputs_sha256));
         let path = self.folder.as_ref().map(|folder| folder.join(file));
         if let Some((evidence, value)) =
-            path.as_deref().filter(|_| !self.fresh).and_then(|path| self.read(path, name, &inputs_sha256))
+            path.as_deref().filter(|_| !self.is_fresh).and_then(|path| self.read_entry(path, name, &inputs_sha256))
         {
-            self.note(name, inputs_sha256, &evidence, true);
+            self.record(name, inputs_sha256, &evidence, true);
             return Ok(value);
         }
         let value = gather()?;
-        let evidence = text(&value)?;
+        let evidence = to_json(&value)?;
         if let Some(path) = path {
             let kept = CacheEntry {
                 name: name.to_owned(),
@@ -169,9 +169,9 @@ impl EvidenceCache {
                 evidence_sha256: sha256(&evidence),
                 evidence: evidence.clone(),
             };
-            disk::write(&path, text(&kept)?).map_err(CacheError::from)?;
+            disk::write(&path, to_json(&kept)?).map_err(CacheError::from)?;
         }
-        self.note(name, inputs_sha256, &evidence, false);
+        self.record(name, inputs_sha256, &evidence, false);
         Ok(value)
     }
 
@@ -185,9 +185,9 @@ impl EvidenceCache {
             let made = tempfile::tempdir().map_err(DiskError::at(&std::env::temp_dir()))?;
             return Ok(ScratchFolder { path: made.path().to_owned(), _temporary: Some(made) });
         };
-        let path = folder.join(self.file_stem(name, &sha256(text(inputs)?)));
+        let path = folder.join(self.file_stem(name, &sha256(to_json(inputs)?)));
         // What is gathered afresh rests on nothing that was there.
-        if self.fresh && path.is_dir() {
+        if self.is_fresh && path.is_dir() {
             fs::remove_dir_all(&path).map_err(DiskError::at(&path))?;
         }
         disk::make_folder(&path)?;
@@ -211,7 +211,7 @@ impl EvidenceCache {
     pub(super) fn insert(&self, kept: &CacheEntry) -> Result<usize, CacheError> {
         let Some(folder) = &self.folder else { return Ok(0) };
         let path = folder.join(format!("{}.json", self.file_stem(&kept.name, &kept.inputs_sha256)));
-        disk::write(&path, text(kept)?)?;
+        disk::write(&path, to_json(kept)?)?;
         Ok(1)
     }
 
@@ -223,10 +223,10 @@ impl EvidenceCache {
     /// The text of the evidence and its value, if there is a file and it is what its name says.
     fn read_entry<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
         let found = fs::symlink_metadata(path).ok()?;
-        let is_plain = found.is_file() && found.len() <= MOST_BYTES;
-        let value = is_plain.then(|| self.believed(path, name, inputs_sha256)).flatten();
+        let is_plain = found.is_file() && found.len() <= MAX_ENTRY_BYTES;
+        let value = is_plain.then(|| self.read_verified(path, name, inputs_sha256)).flatten();
         if value.is_none() {
-            self.locked().damaged.push(path.to_owned());
+            self.lock_log().damaged_files.push(path.to_owned());
         }
         value
     }
@@ -234,7 +234,7 @@ impl EvidenceCache {
     fn read_verified<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
         let kept: CacheEntry = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
         let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
-        let value = (is_asked_for && kept.is_sound(&self.program))
+        let value = (is_asked_for && kept.is_intact(&self.program))
             .then(|| serde_json::from_str(&kept.evidence).ok())
             .flatten()?;
         Some((kept.evidence, value))
@@ -242,14 +242,14 @@ impl EvidenceCache {
 
     fn record(&self, name: &str, inputs_sha256: String, evidence: &str, reused: bool) {
         let hash = EvidenceHash { name: name.to_owned(), inputs_sha256, evidence_sha256: sha256(evidence) };
-        let mut gathered = self.locked();
+        let mut gathered = self.lock_log();
         gathered.hashes.push(hash);
-        gathered.reused += usize::from(reused);
+        gathered.reused_count += usize::from(reused);
     }
 
     /// Hashes of all evidence so far, by name.
     pub(super) fn hashes(&self) -> Vec<EvidenceHash> {
-        let mut hashes = self.locked().hashes.clone();
+        let mut hashes = self.lock_log().hashes.clone();
         hashes.sort();
         hashes
     }
@@ -257,19 +257,19 @@ impl EvidenceCache {
     /// How many pieces of evidence there are, and how many of them were kept from earlier.
     #[must_use]
     pub fn reuse_counts(&self) -> (usize, usize) {
-        let gathered = self.locked();
-        (gathered.hashes.len(), gathered.reused)
+        let gathered = self.lock_log();
+        (gathered.hashes.len(), gathered.reused_count)
     }
 
     /// Files that were not what they should have been, whose evidence was gathered again.
     #[must_use]
     pub fn damaged_files(&self) -> Vec<PathBuf> {
-        self.locked().damaged.clone()
+        self.lock_log().damaged_files.clone()
     }
 
     fn lock_log(&self) -> MutexGuard<'_, CacheLog> {
         // Nothing is left half done under this lock, so that a panic elsewhere does not spoil it.
-        self.gathered.lock().unwrap_or_else(PoisonError::into_inner)
+        self.log.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

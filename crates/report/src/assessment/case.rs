@@ -4,13 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::Rounded;
 use super::commands::controller_arg;
-use super::table::Mark;
+use super::table::CellMark;
 use crumple_world::measure::{self, ContactRole, Measures};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     AfterContact, Contact, FailedController, Impact, NamedController, RecordingLevel, Run, RunError, RunOptions,
-    Simulated, Trace, Unanswered, simulate_batch,
+    SimulationResult, Trace, FailedControllerRuns, simulate_batch,
 };
 
 /// What came of one controller in one scenario.
@@ -134,8 +134,8 @@ pub struct PileUp {
 impl CaseVerdict {
     /// The verdict on a run of a scenario; without a trace nothing is said of what was still closing.
     #[must_use]
-    pub fn new(simulated: &Simulated, scenario: &Scenario) -> Self {
-        if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed() {
+    pub fn new(simulated: &SimulationResult, scenario: &Scenario) -> Self {
+        if let Some(FailedController { time_s, vehicle, failure }) = simulated.outcome.failed_controller() {
             return Self::ControllerFailed {
                 time_s: (*time_s).into(),
                 vehicle: *vehicle,
@@ -148,10 +148,10 @@ impl CaseVerdict {
             let closing = tested.map(|rear| closing_ttc_s(simulated.trace.as_ref()?, rear));
             return Self::Safe { closing_ttc_s: smallest(closing).map(Rounded::new) };
         };
-        match ContactRole::of(contact, scenario) {
+        match ContactRole::new(contact, scenario) {
             ContactRole::Hits => Self::Hit(contact.into()),
             ContactRole::IsHit => Self::WasHit(contact.into()),
-            ContactRole::Bystander => Self::Others(contact.into()),
+            ContactRole::Bystander => Self::OthersCollided(contact.into()),
         }
     }
 
@@ -163,26 +163,26 @@ impl CaseVerdict {
 
     /// That its controller gave no answer, and why; nothing where it did.
     #[must_use]
-    pub(crate) fn unanswered(&self) -> Option<Unanswered> {
+    pub(crate) fn unanswered(&self) -> Option<FailedControllerRuns> {
         match self {
             Self::ControllerFailed { time_s, because, .. } => {
-                Some(Unanswered { runs: 1, because: format!("at {time_s} s, {because}") })
+                Some(FailedControllerRuns { runs: 1, because: format!("at {time_s} s, {because}") })
             }
-            Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::Others(_) => None,
+            Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::OthersCollided(_) => None,
         }
     }
 
     /// Whether the run says anything of the controller: not if others crashed first.
     #[must_use]
     pub fn is_conclusive(&self) -> bool {
-        !matches!(self, Self::Others(_))
+        !matches!(self, Self::OthersCollided(_))
     }
 
-    pub(super) fn mark(&self) -> Mark {
+    pub(super) fn mark(&self) -> CellMark {
         match self {
-            Self::Safe { .. } => Mark::Good,
-            Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. } => Mark::Bad,
-            Self::Others(_) => Mark::None,
+            Self::Safe { .. } => CellMark::Good,
+            Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. } => CellMark::Bad,
+            Self::OthersCollided(_) => CellMark::Neutral,
         }
     }
 
@@ -202,7 +202,7 @@ impl CaseVerdict {
             Self::ControllerFailed { time_s, vehicle, because } => {
                 format!("controller of {vehicle} failed at {time_s} s: {because}")
             }
-            Self::Others(contact) => {
+            Self::OthersCollided(contact) => {
                 format!("traffic: {} hits {} at {}", contact.rear_vehicle, contact.front_vehicle, at(contact))
             }
         }
@@ -250,8 +250,8 @@ pub(super) fn run_cases(
     let pairs: Vec<_> = scenarios.iter().flat_map(|&s| controllers.iter().map(move |c| (s, c))).collect();
     let runs = pairs.iter().map(|(s, c)| prepare(s, c, AfterContact::Stop)).collect::<Result<Vec<_>, _>>()?;
     let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-        let mut case = CaseResult::of(pairs[index].0, pairs[index].1, simulated);
-        if motion == MotionRetention::Dropped {
+        let mut case = CaseResult::new(pairs[index].0, pairs[index].1, simulated);
+        if motion == MotionRetention::Drop {
             case.motion = None;
         }
         case
@@ -260,7 +260,7 @@ pub(super) fn run_cases(
     let collided: Vec<usize> = collided.collect();
     let to_the_end = collided.iter().map(|&index| prepare(pairs[index].0, pairs[index].1, AfterContact::Continue));
     let to_the_end = to_the_end.collect::<Result<Vec<_>, _>>()?;
-    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::of(&simulated));
+    let pile_ups = simulate_batch(&to_the_end, RecordingLevel::Summary, |_, simulated| PileUp::from_simulated(&simulated));
     for (index, pile_up) in collided.into_iter().zip(pile_ups) {
         cases[index].pile_up = pile_up;
     }
@@ -269,7 +269,7 @@ pub(super) fn run_cases(
 }
 
 impl PileUp {
-    fn from_simulated(simulated: &Simulated) -> Option<Self> {
+    fn from_simulated(simulated: &SimulationResult) -> Option<Self> {
         let of = |vehicle| measure::max_delta_v_mps(&simulated.impacts, vehicle);
         (!simulated.impacts.is_empty()).then(|| Self {
             impacts: simulated.impacts.len(),
@@ -280,26 +280,26 @@ impl PileUp {
 }
 
 impl CaseResult {
-    fn new(scenario: &Scenario, controller: &NamedController, simulated: Simulated) -> Self {
+    fn new(scenario: &Scenario, controller: &NamedController, simulated: SimulationResult) -> Self {
         let trace = simulated.trace.as_ref();
-        let measured = |index: usize| trace.and_then(|trace| Measures::of(trace, &simulated.impacts, index));
+        let measured = |index: usize| trace.and_then(|trace| Measures::from_trace(trace, &simulated.impacts, index));
         let under_test: Vec<usize> =
             (0..scenario.vehicles().len()).filter(|&index| scenario.is_under_test(index)).collect();
         let own: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index)).collect();
         let followers: Vec<Measures> = under_test.iter().filter_map(|&index| measured(index + 1)).collect();
         Self {
             controller: controller.name.clone(),
-            verdict: CaseVerdict::of(&simulated, scenario),
+            verdict: CaseVerdict::new(&simulated, scenario),
             ahead: RoundedLeadMeasures::worst(&own),
             behind: RoundedLeadMeasures::worst(&followers),
             min_gap_m: smallest(simulated.vehicles.iter().map(|vehicle| vehicle.min_gap_m)).map(Rounded::new),
             regret_m: None,
             peak_brake_mps2: largest(own.iter().map(|m| m.peak_brake_mps2)).map(Rounded::new),
             peak_jerk_mps3: largest(own.iter().map(|m| m.peak_jerk_mps3)).map(Rounded::new),
-            imposed_brake_mps2: largest(own.iter().map(|m| m.imposed.and_then(|imposed| imposed.peak_brake_mps2)))
+            induced_brake_mps2: largest(own.iter().map(|m| m.induced.and_then(|imposed| imposed.peak_brake_mps2)))
                 .map(Rounded::new),
             pile_up: None,
-            word: controller_arg(&controller.kind),
+            controller_arg: controller_arg(&controller.kind),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
         }
     }
@@ -310,7 +310,7 @@ impl RoundedLeadMeasures {
         let ahead: Vec<_> = vehicles.iter().filter_map(|measures| measures.ahead).collect();
         // At a contact the deceleration that would have avoided it grows without bound: no number is the worst one.
         let touched = ahead.iter().any(|a| a.min_gap_m == Some(0.0));
-        let demand = |of: fn(&measure::Ahead) -> Option<f64>| {
+        let demand = |of: fn(&measure::LeadMeasures) -> Option<f64>| {
             if touched { None } else { largest(ahead.iter().map(of)).map(Rounded::new) }
         };
         Self {

@@ -10,11 +10,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::parts::scenario_file;
+use super::parts::scenario_path;
 use super::figure_layout::{NamedSpace, file_stem};
-use super::{AssessmentPlan, StoreError};
+use super::{AssessmentPlan, CacheError};
 use crumple_core::digest::sha256;
-use crumple_core::quoted::ShellWord;
+use crumple_core::quoting::ShellWord;
 use crumple_world::control::NetworkController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
@@ -59,7 +59,7 @@ impl CrumpleCommand {
 
 impl fmt::Display for CrumpleCommand {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "crumple {}", self.quoted())
+        write!(out, "crumple {}", self.shell_quoted())
     }
 }
 
@@ -67,10 +67,10 @@ impl fmt::Display for CrumpleCommand {
 /// from outside.
 pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     match kind {
-        ControllerKind::BuiltIn(spec) => Some(spec.words()),
-        ControllerKind::Policy(policy) => Some(policy_file(policy)),
+        ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
+        ControllerKind::Policy(policy) => Some(policy_path(policy)),
         ControllerKind::Shielded(shielded) => {
-            Some(format!("shield{}:{}", shielded.settings.words(), controller_arg(&shielded.controller)?))
+            Some(format!("shield{}:{}", shielded.settings.to_arg(), controller_arg(&shielded.controller)?))
         }
         ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
         ControllerKind::Process(_) | ControllerKind::Custom(_) => None,
@@ -86,7 +86,7 @@ fn network_path(name: &str) -> String {
 fn find_network(kind: &ControllerKind) -> Option<&NetworkController> {
     match kind {
         ControllerKind::Network(network) => Some(network),
-        ControllerKind::Shielded(shielded) => network(&shielded.controller),
+        ControllerKind::Shielded(shielded) => find_network(&shielded.controller),
         _ => None,
     }
 }
@@ -126,7 +126,7 @@ impl AssessmentPlan {
     ///
     /// # Errors
     /// [`StoreError::Encoding`] if one of them cannot be written down.
-    pub(super) fn command_files(&self) -> Result<Vec<CommandFile>, StoreError> {
+    pub(super) fn command_files(&self) -> Result<Vec<CommandFile>, CacheError> {
         let mut files: Vec<CommandFile> = Vec::new();
         let mut add = |file: String, contents: Vec<u8>| {
             if !files.iter().any(|known| known.file == file) {
@@ -136,13 +136,13 @@ impl AssessmentPlan {
         for controller in &self.controllers {
             // Only policies that were read from files have no other name.
             if let (Some(word), Some(policy)) = (controller_arg(&controller.kind), controller.policy())
-                && word.ends_with(&policy_file(&policy))
+                && word.ends_with(&policy_path(&policy))
             {
-                add(policy_file(&policy), policy.to_bytes().map_err(StoreError::encoding)?);
+                add(policy_path(&policy), policy.to_bytes().map_err(CacheError::encoding)?);
             }
         }
-        for network in self.controllers.iter().filter_map(|controller| network(&controller.kind)) {
-            for (name, contents) in controller_file::to_files(network).map_err(StoreError::encoding)? {
+        for network in self.controllers.iter().filter_map(|controller| find_network(&controller.kind)) {
+            for (name, contents) in controller_file::to_files(network).map_err(CacheError::encoding)? {
                 add(network_path(&name), contents);
             }
         }
@@ -159,8 +159,8 @@ impl AssessmentPlan {
             }
         }
         for (_, scenario) in &self.traffic {
-            let text = file::to_toml(scenario).map_err(StoreError::encoding)?;
-            add(scenario_file(scenario), text.into_bytes());
+            let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
+            add(scenario_path(scenario), text.into_bytes());
         }
         Ok(files)
     }
@@ -181,7 +181,7 @@ pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleComman
     script += "run fsck .\nrun check --rerun certificates/*.json\n";
     // Controllers that fail at one point of a suite share the escape from it.
     let mut said = BTreeSet::new();
-    for command in commands.map(CrumpleCommand::quoted).filter(|command| said.insert(command.clone())) {
+    for command in commands.map(CrumpleCommand::shell_quoted).filter(|command| said.insert(command.clone())) {
         script += &format!("run {command}\n");
     }
     script + "exit $failed\n"

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::gate::Gate;
+use super::gate::AssessmentGate;
 use super::planned_suite::SuiteConfig;
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -34,7 +34,7 @@ pub struct AssessConfig {
     pub estimator: EstimatorKind,
     /// Whether the paper's scenarios, its leader's worst braking, failure maps and its training are parts of the report.
     /// Default true; set it to false for controllers that have nothing to do with the paper.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     pub paper: bool,
     /// Spaces by whose law failures are counted, built-in names or files relative to the configuration. Default: `paper`, or
     /// `high-risk` if the paper is left out.
@@ -72,7 +72,7 @@ pub struct AssessConfig {
     pub certificates: Option<Vec<PathBuf>>,
     /// What must hold; `crumple assess` ends with exit code 1 if something does not. Default none.
     #[serde(default)]
-    pub gates: Vec<Gate>,
+    pub gates: Vec<AssessmentGate>,
 }
 
 /// How failures are searched for.
@@ -96,7 +96,7 @@ pub struct SearchConfig {
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { spaces: None, budget: 400, rules: Vec::new() }
+        Self { spaces: None, budget: 400, specifications: Vec::new() }
     }
 }
 
@@ -120,7 +120,7 @@ impl Default for RatesConfig {
 
 fn all_controllers() -> Vec<String> {
     let compared =
-        ControllerSpec::built_in().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
+        ControllerSpec::all().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
     let mut names: Vec<_> = compared.map(|spec| spec.name().to_owned()).collect();
     // The shield stands beside the policy that it shields.
     let place = names.iter().position(|name| name == "policy").map_or(names.len(), |place| place + 1);
@@ -165,7 +165,7 @@ impl Default for AssessConfig {
             controllers: all_controllers(),
             subject: None,
             estimator: EstimatorKind::default(),
-            paper: yes(),
+            paper: default_true(),
             distributions: None,
             draws: default_draws(),
             everyday_draws: default_everyday_draws(),
@@ -177,9 +177,9 @@ impl Default for AssessConfig {
             rates: RatesConfig::default(),
             certificates: None,
             gates: vec![
-                Gate::NoContactInPaperScenarios { controller: policy.clone() },
-                Gate::RateNotAbove { controller: policy, than: baseline, space: None },
-                Gate::ProofsAccepted {},
+                AssessmentGate::NoContactInPaperScenarios { controller: policy.clone() },
+                AssessmentGate::RateNotAbove { controller: policy, than: baseline, space: None },
+                AssessmentGate::ProofsAccepted {},
             ],
         }
     }

@@ -2,10 +2,10 @@
 
 use maud::{Markup, PreEscaped, Render, html};
 
-use super::Command;
+use super::CrumpleCommand;
 use super::markdown::{Inline, Markdown};
-use super::prose::prose;
-use super::table::Table;
+use super::prose::prose_to_html;
+use super::table::ReportTable;
 
 /// A text with two forms: HTML with figures, and Markdown without.
 #[derive(Debug, Default)]
@@ -17,23 +17,23 @@ pub struct ReportDocument {
 impl ReportDocument {
     /// Writes a paragraph; text between backticks is code.
     pub(super) fn paragraph(&mut self, text: &str) {
-        self.html(html! { p { (prose(text)) } });
+        self.push_html(html! { p { (prose_to_html(text)) } });
         self.markdown.paragraph(text);
     }
 
     /// Writes a heading below that of the part.
     pub(super) fn heading(&mut self, text: &str) {
-        self.html(html! { h3 { (text) } });
+        self.push_html(html! { h3 { (text) } });
         self.markdown.heading(3, text);
     }
 
-    pub(super) fn table(&mut self, table: &Table) {
-        self.html(table.html());
-        table.markdown(&mut self.markdown);
+    pub(super) fn table(&mut self, table: &ReportTable) {
+        self.push_html(table.to_html());
+        table.write_markdown(&mut self.markdown);
     }
 
     pub(super) fn list(&mut self, lines: &[String]) {
-        self.html(html! { ul { @for line in lines { li { (prose(line)) } } } });
+        self.push_html(html! { ul { @for line in lines { li { (prose_to_html(line)) } } } });
         self.markdown.list(lines.iter().map(String::as_str));
     }
 
@@ -50,7 +50,7 @@ impl ReportDocument {
                 open += 1;
             }
             self.html += "<li>";
-            self.html(entry);
+            self.push_html(entry);
         }
         self.html += &"</li></ul>".repeat(open);
         self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
@@ -63,12 +63,12 @@ impl ReportDocument {
 
     /// Writes a figure, which only HTML shows.
     pub(super) fn figure(&mut self, figure: impl Render) {
-        self.html(html! { figure { (figure) } });
+        self.push_html(html! { figure { (figure) } });
     }
 
     /// Writes a list of commands, which only HTML shows.
-    pub(super) fn commands<'a>(&mut self, commands: impl IntoIterator<Item = &'a Command>) {
-        self.html(html! { ul { @for command in commands { li { code { (command) } } } } });
+    pub(super) fn commands<'a>(&mut self, commands: impl IntoIterator<Item = &'a CrumpleCommand>) {
+        self.push_html(html! { ul { @for command in commands { li { code { (command) } } } } });
     }
 
     /// Returns the Markdown, for what only Markdown shows.
@@ -79,7 +79,7 @@ impl ReportDocument {
     /// Writes blocks that HTML shows on demand, below a summary.
     pub(super) fn collapsible(&mut self, summary: &str, write: impl FnOnce(&mut Self)) {
         self.html += "<details>";
-        self.html(html! { summary { (summary) } });
+        self.push_html(html! { summary { (summary) } });
         write(self);
         self.html += "</details>";
     }

@@ -4,14 +4,14 @@
 
 use super::avoidance::CertifiedAvoidance;
 use super::parts::{
-    Distribution, FailureMaps, PaperScenarios, SpecificationSearchPlan, Search, Traffic, Usefulness, WorstProfile, WorstProfiles,
+    SpaceSample, FailureMaps, PaperScenarios, SpecificationSearchPlan, FailureSearch, FileScenarios, UsefulnessReport, WorstProfile, WorstProfiles,
     count_one, counted_names, run_suite,
 };
-use super::gather_context::Work;
+use super::gather_context::GatherContext;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
 
-type GatherFn<'p> = Box<dyn Fn(&Work<'_>) -> Result<(), AssessError> + 'p>;
+type GatherFn<'p> = Box<dyn Fn(&GatherContext<'_>) -> Result<(), AssessError> + 'p>;
 
 /// A piece of evidence that can be gathered alone.
 pub(super) struct EvidenceTask<'p> {
@@ -22,7 +22,7 @@ pub(super) struct EvidenceTask<'p> {
 
 impl EvidenceTask<'_> {
     /// Gathers the evidence into the store.
-    pub(super) fn gather(&self, work: &Work<'_>) -> Result<(), AssessError> {
+    pub(super) fn gather(&self, work: &GatherContext<'_>) -> Result<(), AssessError> {
         (self.gather)(work)
     }
 }
@@ -35,21 +35,21 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
     };
     for scenario in PaperScenarios::scenarios(plan)? {
         let name = format!("best of {}", scenario.spec().name);
-        add(name, Box::new(move |work| Ok(CertifiedAvoidance::kept(&scenario, work).map(drop)?)));
+        add(name, Box::new(move |work| Ok(CertifiedAvoidance::load_or_compute(&scenario, work).map(drop)?)));
     }
     for named in &plan.distributions {
         add(
             format!("draws of {}", named.name),
-            Box::new(move |work| Distribution::gather(plan, named, work).map(drop)),
+            Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)),
         );
     }
     if !plan.traffic.is_empty() {
-        add("scenarios from files".to_owned(), Box::new(move |work| Traffic::gather(plan, work).map(drop)));
+        add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(plan, work).map(drop)));
     }
     for named in &plan.spaces {
         for one in plan.controllers.iter().enumerate() {
             let name = format!("search {} in {}", one.1.name, named.name);
-            add(name, Box::new(move |work| Search::gather(plan, named, one, work).map(drop)));
+            add(name, Box::new(move |work| FailureSearch::gather(plan, named, one, work).map(drop)));
         }
     }
     if let Some((scenario, envelope)) = WorstProfiles::scenario(plan)? {
@@ -65,12 +65,12 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         add("failure maps".to_owned(), Box::new(move |work| FailureMaps::gather(plan, work).map(drop)));
     }
     if plan.config.everyday_draws > 0 {
-        add("usefulness".to_owned(), Box::new(move |work| Usefulness::gather(plan, work).map(drop)));
+        add("usefulness".to_owned(), Box::new(move |work| UsefulnessReport::gather(plan, work).map(drop)));
     }
     for name in counted_names(plan) {
         add(format!("count {name}"), Box::new(move |work| count_one(plan, &name, work)));
     }
-    for searched in SpecificationSearchPlan::all(plan) {
+    for searched in SpecificationSearchPlan::from_plan(plan) {
         add(searched.name(), Box::new(move |work| searched.gather(plan, work).map(drop)));
     }
     for planned in &plan.suites {

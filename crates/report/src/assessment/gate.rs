@@ -5,11 +5,11 @@ use std::convert::Infallible;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::claims::{Claim, Domain, Property, Strength};
+use super::claims::{AssuranceClaim, Domain, Property, Strength};
 use super::parts::EVERYDAY_SPACES;
-use super::{AssessConfig, Assessment, AssessmentPlan, Comparison, Proof, CertificateStatus, Rounded, Useful};
+use super::{AssessConfig, AssessmentReport, AssessmentPlan, AssessmentComparison, CheckedCertificate, CertificateStatus, Rounded, ControllerUsefulness};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
 /// Something that must hold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -141,7 +141,7 @@ impl AssessmentGate {
             | Self::NoCollisionInScenarioFiles { controller }
             | Self::NoCollisionInSpace { controller, .. }
             | Self::RateAtMost { controller, .. }
-            | Self::NeedlessBrakingAtMost { controller, .. }
+            | Self::UnnecessaryBrakingAtMost { controller, .. }
             | Self::LeftBehindAtMost { controller, .. }
             | Self::StringStable { controller }
             | Self::SuitePassed { controller, .. }
@@ -159,7 +159,7 @@ impl AssessmentGate {
             Self::NoContactInPaperScenarios { .. } if !config.paper => {
                 Some(("require", "needs `paper = true`".to_owned()))
             }
-            Self::NoAvoidableFailure { space, .. } if !config.searched().contains(space) => {
+            Self::NoAvoidableFailure { space, .. } if !config.search_spaces().contains(space) => {
                 Some(("space", format!("`{space}` is not among `search.spaces`")))
             }
             Self::RateAtMost { percent, space, .. } => share_problem(*percent).or_else(|| space_problem(space, config)),
@@ -172,7 +172,7 @@ impl AssessmentGate {
             Self::NoCollisionInScenarioFiles { .. } if config.scenarios.is_empty() && config.recordings.is_empty() => {
                 Some(("require", "needs `scenarios` or `recordings`".to_owned()))
             }
-            Self::NeedlessBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
+            Self::UnnecessaryBrakingAtMost { percent, .. } | Self::LeftBehindAtMost { percent, .. } => {
                 share_problem(*percent).or_else(needs_drives)
             }
             Self::StringStable { .. } => needs_drives(),
@@ -181,26 +181,26 @@ impl AssessmentGate {
         }
     }
 
-    pub(super) fn evaluate(&self, plan: &AssessmentPlan, found: &Assessment) -> GateResult {
+    pub(super) fn evaluate(&self, plan: &AssessmentPlan, found: &AssessmentReport) -> GateResult {
         let (holds, because) = match self {
             Self::NoContactInPaperScenarios { controller } => {
                 let paper = found.paper_scenarios.as_ref().map_or(&[][..], |paper| &paper.scenarios);
-                no_contact(paper, controller)
+                check_no_contact(paper, controller)
             }
-            Self::NoCollisionInScenarioFiles { controller } => match &found.traffic {
-                Some(traffic) => no_contact(&traffic.scenarios, controller),
+            Self::NoCollisionInScenarioFiles { controller } => match &found.file_scenarios {
+                Some(traffic) => check_no_contact(&traffic.scenarios, controller),
                 None => (false, "the configuration names no scenarios".to_owned()),
             },
             Self::NoCollisionInSpace { controller, space } => check_no_collision_in_space(plan, found, controller, space),
             Self::RateAtMost { controller, percent, space } => {
-                rate_at_most(plan, found, controller, *percent, space.as_deref())
+                check_rate_at_most(plan, found, controller, *percent, space.as_deref())
             }
             Self::RateNotAbove { controller, than, space } => {
                 check_rate_not_above(plan, found, [controller, than], space.as_deref())
             }
             Self::NoAvoidableFailure { controller, space } => check_no_avoidable_failure(found, controller, space),
-            Self::NeedlessBrakingAtMost { controller, percent } => {
-                check_drives_at_most(found, controller, *percent, |useful| useful.needless)
+            Self::UnnecessaryBrakingAtMost { controller, percent } => {
+                check_drives_at_most(found, controller, *percent, |useful| useful.unnecessary_braking)
             }
             Self::LeftBehindAtMost { controller, percent } => {
                 check_drives_at_most(found, controller, *percent, |useful| useful.left_behind)
@@ -211,7 +211,7 @@ impl AssessmentGate {
             Self::NothingWorse {} => check_nothing_worse(found.comparison.as_ref()),
             Self::NoContactInTraffic(never) => match *never {},
         };
-        GateResult { gate: self.words(plan), holds, because }
+        GateResult { gate: self.describe(plan), holds, because }
     }
 
     fn describe(&self, plan: &AssessmentPlan) -> String {
@@ -238,7 +238,7 @@ impl AssessmentGate {
             Self::NoAvoidableFailure { controller, space } => {
                 format!("{controller}: no avoidable failure in `{space}` within the budget")
             }
-            Self::NeedlessBrakingAtMost { controller, percent } => {
+            Self::UnnecessaryBrakingAtMost { controller, percent } => {
                 format!("{controller}: braking without cause in at most {percent} % of drives in everyday traffic")
             }
             Self::LeftBehindAtMost { controller, percent } => {
@@ -258,13 +258,13 @@ impl AssessmentGate {
 fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bool, String) {
     let of_controller = || {
         scenarios.iter().flat_map(|scenario| {
-            let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.counts());
+            let own = scenario.cases.iter().filter(|case| case.controller == controller && case.verdict.is_conclusive());
             own.map(|case| (scenario.scenario.as_str(), &case.verdict))
         })
     };
     if let Some((name, silent)) = of_controller().find_map(|(name, verdict)| Some((name, verdict.unanswered()?))) {
         let runs = of_controller().filter(|(_, verdict)| verdict.unanswered().is_some()).count() as u64;
-        let words = Unanswered { runs, ..silent }.words(of_controller().count() as u64);
+        let words = FailedControllerRuns { runs, ..silent }.describe(of_controller().count() as u64);
         return (false, format!("it {words} (first in {name})"));
     }
     let cases = of_controller().map(|(name, verdict)| (name, verdict.is_failure()));
@@ -278,7 +278,7 @@ fn check_no_contact(scenarios: &[super::ScenarioCases], controller: &str) -> (bo
 }
 
 /// Judges all random scenarios of a space that were simulated: those of `distributions`, and the drives in everyday traffic and danger.
-fn check_no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+fn check_no_collision_in_space(plan: &AssessmentPlan, found: &AssessmentReport, controller: &str, space: &str) -> (bool, String) {
     let place = plan.distributions.iter().position(|named| named.name == space);
     let drawn = place.and_then(|place| found.distributions.spaces.get(place)).and_then(|drawn| {
         let of_controller = drawn.controllers.iter().find(|sampled| sampled.controller == controller)?;
@@ -289,7 +289,7 @@ fn check_no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, contro
             cut_short: of_controller.cut_short,
         })
     });
-    let everyday = found.usefulness.as_ref().and_then(|all| all.tally(controller, space));
+    let everyday = found.usefulness.as_ref().and_then(|all| all.space_tally(controller, space));
     // Both use the same seed: the larger sample contains the smaller one.
     let all = drawn.into_iter().chain(everyday).max_by_key(|tally| tally.scenarios);
     let Some(SpaceTally { scenarios: scenarios @ 1.., collisions, unanswered, cut_short }) = all else {
@@ -308,7 +308,7 @@ fn check_no_collision_in_space(plan: &AssessmentPlan, found: &Assessment, contro
 /// The strongest that is known, whether it was counted for a certificate or not.
 fn check_rate_at_most(
     plan: &AssessmentPlan,
-    found: &Assessment,
+    found: &AssessmentReport,
     controller: &str,
     percent: f64,
     space: Option<&str>,
@@ -320,14 +320,14 @@ fn check_rate_at_most(
     // What is asked for is never rounded in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
     let standing =
-        found.evidence.standing(&Claim { subject, property, domain: Domain::Space { space: named.known.clone() } });
-    (matches!(standing.strength, Strength::Bounded { .. }), standing.words())
+        found.evidence.claim_status(&AssuranceClaim { subject, property, domain: Domain::Space { space: named.known.clone() } });
+    (matches!(standing.strength, Strength::Bounded { .. }), standing.describe())
 }
 
 /// A draw that was cut short counts against the controller.
 fn check_rate_not_above(
     plan: &AssessmentPlan,
-    found: &Assessment,
+    found: &AssessmentReport,
     [controller, than]: [&str; 2],
     space: Option<&str>,
 ) -> (bool, String) {
@@ -343,13 +343,13 @@ fn check_rate_not_above(
     };
     let silent: String = [("it", own), ("the other, in whose favour or against whom that does not count,", other)]
         .into_iter()
-        .filter_map(|(who, of)| Some(format!(", and {who} {}", of.unanswered.as_ref()?.words(drawn.draws))))
+        .filter_map(|(who, of)| Some(format!(", and {who} {}", of.unanswered.as_ref()?.describe(drawn.draws))))
         .collect();
     let because = format!(
         "{} against {} of the same {} draws collide{cut_short}{silent}",
         own.collisions, other.collisions, drawn.draws
     );
-    let is_known = own.cut_short < drawn.draws && other.silent() < drawn.draws;
+    let is_known = own.cut_short < drawn.draws && other.unanswered_runs() < drawn.draws;
     (is_known && own.failures() + own.cut_short <= other.collisions, because)
 }
 
@@ -358,7 +358,7 @@ fn space_index(plan: &AssessmentPlan, space: Option<&str>) -> Option<usize> {
     plan.distributions.iter().position(|named| space.is_none_or(|space| named.name == space))
 }
 
-fn check_no_avoidable_failure(found: &Assessment, controller: &str, space: &str) -> (bool, String) {
+fn check_no_avoidable_failure(found: &AssessmentReport, controller: &str, space: &str) -> (bool, String) {
     let searches = found.searches.spaces.iter().filter(|of| of.name == space).flat_map(|of| &of.controllers);
     let Some(search) = searches.into_iter().find(|search| search.controller == controller) else {
         return (false, "it was not searched for".to_owned());
@@ -377,25 +377,25 @@ fn check_no_avoidable_failure(found: &Assessment, controller: &str, space: &str)
 }
 
 fn check_drives_at_most(
-    found: &Assessment,
+    found: &AssessmentReport,
     controller: &str,
     percent: f64,
-    count: impl Fn(&Useful) -> u64,
+    count: impl Fn(&ControllerUsefulness) -> u64,
 ) -> (bool, String) {
     let all = found.usefulness.as_ref();
-    let Some((all, useful)) = all.and_then(|all| Some((all, all.of(controller)?))) else {
+    let Some((all, useful)) = all.and_then(|all| Some((all, all.find(controller)?))) else {
         return (false, "no such drives were made".to_owned());
     };
     // What a drive without an answer would have come to is not known: it counts as the worse.
-    let [silent, _] = useful.silent();
+    let [silent, _] = useful.unanswered_runs();
     let share = 100.0 * (count(useful) + silent) as f64 / all.draws as f64;
-    let words = useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.words(all.draws)));
+    let words = useful.unanswered[0].as_ref().map_or(String::new(), |silent| format!("; {}", silent.describe(all.draws)));
     (share <= percent, format!("{} of {} drives{words}", count(useful), all.draws))
 }
 
-fn check_string_stable(found: &Assessment, controller: &str) -> (bool, String) {
-    let line = found.usefulness.as_ref().and_then(|all| Some(&all.of(controller)?.line));
-    line.map_or((false, "no line was driven".to_owned()), |line| (line.holds(), line.words()))
+fn check_string_stable(found: &AssessmentReport, controller: &str) -> (bool, String) {
+    let line = found.usefulness.as_ref().and_then(|all| Some(&all.find(controller)?.string_stability));
+    line.map_or((false, "no line was driven".to_owned()), |line| (line.is_string_stable(), line.describe()))
 }
 
 fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Option<(&'static str, String)> {
@@ -407,7 +407,7 @@ fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Opt
 }
 
 /// What cannot be run does not count; but something has to.
-fn check_suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &str, suite: &str) -> (bool, String) {
+fn check_suite_passed(plan: &AssessmentPlan, found: &AssessmentReport, controller: &str, suite: &str) -> (bool, String) {
     let place = plan.suites.iter().position(|planned| planned.named == suite);
     let of_controller = place.zip(found.suites.as_ref());
     let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.of(*place, controller)).collect();
@@ -416,10 +416,10 @@ fn check_suite_passed(plan: &AssessmentPlan, found: &Assessment, controller: &st
         run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();
     let (mut silent, mut runs) = (None, 0);
     for (_, outcome) in &run {
-        Unanswered::join(&mut silent, outcome.silent());
+        FailedControllerRuns::merge(&mut silent, outcome.silent());
         runs += outcome.runs;
     }
-    let silent = silent.map_or(String::new(), |silent| format!("; it {}", silent.words(runs)));
+    let silent = silent.map_or(String::new(), |silent| format!("; it {}", silent.describe(runs)));
     match (run.len(), missed.as_slice()) {
         (0, _) => (false, "no test could be run".to_owned()),
         (all, []) => (true, format!("{all} of {all} tests pass")),
@@ -459,8 +459,8 @@ fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<(&'stat
     }
 }
 
-fn check_proofs_accepted(found: &Assessment) -> (bool, String) {
-    let claims_to_prove = |one: &&Proof| !matches!(one.status, CertificateStatus::NothingShown { .. });
+fn check_proofs_accepted(found: &AssessmentReport) -> (bool, String) {
+    let claims_to_prove = |one: &&CheckedCertificate| !matches!(one.status, CertificateStatus::NothingShown { .. });
     let certificates: Vec<_> = found.proofs.certificates.iter().filter(claims_to_prove).collect();
     let all = certificates.len();
     let rejected: Vec<_> = certificates.iter().filter(|one| !one.is_accepted()).collect();
@@ -470,7 +470,7 @@ fn check_proofs_accepted(found: &Assessment) -> (bool, String) {
     }
 }
 
-fn check_nothing_worse(comparison: Option<&Comparison>) -> (bool, String) {
+fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> (bool, String) {
     match comparison {
         None => (false, "there is no earlier assessment: name one with --against".to_owned()),
         Some(comparison) if comparison.has_no_overlap() => {

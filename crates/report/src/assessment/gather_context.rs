@@ -4,21 +4,21 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::AssessError;
-use super::cache::Store;
-use crumple_core::observer::Counter;
+use super::cache::EvidenceCache;
+use crumple_core::observer::ProgressCounter;
 use crumple_world::sim::NamedController;
 
 /// Evidence being gathered.
 pub(super) struct GatherContext<'a> {
-    pub(super) cache: &'a Store,
-    runs: Counter<'a>,
+    pub(super) cache: &'a EvidenceCache,
+    runs: ProgressCounter<'a>,
     /// Whose runs they are.
     controllers: &'a [NamedController],
 }
 
 impl<'a> GatherContext<'a> {
-    pub(super) fn new(store: &'a Store, runs: Counter<'a>) -> Self {
-        Self { store, runs, controllers: &[] }
+    pub(super) fn new(store: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
+        Self { cache: store, runs, controllers: &[] }
     }
 
     /// The same, of runs of these controllers: what was gathered with one that was refused on the way is neither kept nor told.
@@ -39,9 +39,9 @@ impl<'a> GatherContext<'a> {
         inputs: &impl Serialize,
         gather: impl FnOnce() -> Result<T, AssessError>,
     ) -> Result<T, AssessError> {
-        self.store.get(name, inputs, || {
+        self.cache.get_or_gather(name, inputs, || {
             let found = gather()?;
-            self.did(0)?;
+            self.add_runs(0)?;
             self.ensure_all_trusted()?;
             Ok(found)
         })

@@ -1,32 +1,32 @@
 //! Gates as tests, in the form that build servers read.
 
-use super::{Assessment, Gate, GateResult, SuiteFindings};
-use crate::junit::{self, Case, Status, Suite};
+use super::{AssessmentReport, AssessmentGate, GateResult, SuiteFindings};
+use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::DISCLAIMER;
 
 /// Renders gates and the tests of suites as test cases. A build fails only because of a gate; claims about controllers
 /// are properties, which fail no build.
-pub(super) fn render_junit(assessment: &Assessment) -> String {
-    let mut gates = Suite { name: "gates".to_owned(), ..Suite::default() };
-    gates.cases = assessment.summary.gates.iter().map(case).collect();
+pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
+    let mut gates = JunitSuite { name: "gates".to_owned(), ..JunitSuite::default() };
+    gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
     for row in &assessment.summary.claims {
-        let made = row.claims.iter().zip(&row.standings).filter(|(claim, _)| claim.is_some());
+        let made = row.claims.iter().zip(&row.statuses).filter(|(claim, _)| claim.is_some());
         for (claim, standing) in made {
             let controller = claim.as_ref().map_or("", |claim| claim.subject.controller.name.as_str());
-            gates.properties.push((format!("{controller}: {}", row.claim), standing.words()));
+            gates.properties.push((format!("{controller}: {}", row.claim), standing.describe()));
         }
     }
     let suites = assessment.suites.iter().flat_map(|suites| suites.suites.iter().enumerate());
-    let suites = suites.map(|(place, found)| tests(assessment, place, found));
-    junit::xml("crumple assess", &[gates].into_iter().chain(suites).collect::<Vec<_>>())
+    let suites = suites.map(|(place, found)| suite_tests(assessment, place, found));
+    junit::render_junit("crumple assess", &[gates].into_iter().chain(suites).collect::<Vec<_>>())
 }
 
 /// Lists the tests of a suite. A failed test is a failure if a gate requires the suite, and is skipped with its result otherwise.
-fn suite_tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> Suite {
+fn suite_tests(assessment: &AssessmentReport, place: usize, found: &SuiteFindings) -> JunitSuite {
     let config = &assessment.provenance.config;
     let is_required = |controller: &str| {
         config.gates.iter().any(|gate| {
-            matches!(gate, Gate::SuitePassed { controller: of, suite } if of == controller
+            matches!(gate, AssessmentGate::SuitePassed { controller: of, suite } if of == controller
                 && config.suites.get(place).is_some_and(|named| named.suite == *suite))
         })
     };
@@ -34,31 +34,31 @@ fn suite_tests(assessment: &Assessment, place: usize, found: &SuiteFindings) -> 
     for test in &found.tests {
         for (controller, outcome) in found.controllers.iter().zip(&test.outcomes) {
             let status = match outcome.passed {
-                Some(true) => Status::Passed,
-                Some(false) if is_required(controller) => Status::Failed,
-                Some(false) | None => Status::Skipped,
+                Some(true) => JunitStatus::Passed,
+                Some(false) if is_required(controller) => JunitStatus::Failed,
+                Some(false) | None => JunitStatus::Skipped,
             };
             let message = outcome.worst.as_ref().map_or(&*outcome.verdict, |worst| &*worst.what);
-            cases.push(Case {
+            cases.push(JunitCase {
                 name: format!("{}: {controller}", test.test),
                 status,
-                message: (status != Status::Passed).then(|| message.to_owned()),
+                message: (status != JunitStatus::Passed).then(|| message.to_owned()),
                 output: outcome.margins.join("\n"),
             });
         }
     }
     let properties = [("statement", DISCLAIMER), ("document", &found.document)];
-    Suite {
+    JunitSuite {
         name: format!("suite {}", found.suite.name),
         properties: properties.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),
         cases,
     }
 }
 
-fn gate_case(gate: &GateResult) -> Case {
-    Case {
+fn gate_case(gate: &GateResult) -> JunitCase {
+    JunitCase {
         name: gate.gate.to_string(),
-        status: if gate.holds { Status::Passed } else { Status::Failed },
+        status: if gate.holds { JunitStatus::Passed } else { JunitStatus::Failed },
         message: (!gate.holds).then(|| gate.because.clone()),
         output: gate.because.clone(),
     }

@@ -30,32 +30,32 @@ use maud::Markup;
 use serde::Serialize;
 
 pub use crate::markdown::Markdown;
-pub use avoidance::Best;
-pub use case::{Case, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, RoundedLeadMeasures};
+pub use avoidance::RoundedAvoidance;
+pub use case::{CaseResult, CaseVerdict, PileUp, RoundedContact, STILL_CLOSING_TTC_S, RoundedLeadMeasures};
 pub use claims::{
-    Beside, Claim, Domain, Evidence, Known, MIN_CONFIDENCE_PERCENT, Ledger, Property, Rule, Source, Standing,
+    SecondaryEvidence, AssuranceClaim, Domain, Evidence, ContentId, MIN_CONFIDENCE_PERCENT, Ledger, Property, InferenceRule, EvidenceSource, ClaimStatus,
     Strength, Subject, UncomparedText,
 };
-pub use commands::{Command, CommandFile};
-pub use config::{AssessConfig, CONFIG_VERSION, ConfigError, RatesConfig, SearchConfig};
-pub use document::Document;
-pub use gate::{Gate, GateResult};
+pub use commands::{CrumpleCommand, CommandFile};
+pub use config::{AssessConfig, CONFIG_VERSION, AssessConfigError, RatesConfig, SearchConfig};
+pub use document::ReportDocument;
+pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
-    Answer, Argument, BRAKING_MPS2, Braking, Change, ClaimRow, Comparison, ComparisonError, Distribution,
-    Distributions, SpaceDescriptions, EXAMPLE_MPS, Earlier, Element, GsnElementKind, EscapeFile, Failure, FailureMap, FailureMaps,
-    FirstPage, Glossary, Held, KernelGap, Learned, LearnedPolicy, Limit, Limits, StringStabilityVerdict, MAX_EVIDENCE_BYTES,
-    Made, MapAxis, MapCell, MapRow, MethodResult, Mildest, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
-    Percent, Proof, CertificateStatus, Proofs, Provenance, RuleSearch, RuleSearches, RuleViolation, SpecificationSearches, Sampled,
-    ScenarioCases, Search, FailureSearches, SpaceInNumbers, SpaceSearches, CertificateSubject, SuiteFailure, SuiteFindings,
-    SuiteOutcome, SuiteTest, Suites, Summary, Traffic, UnknownCell, Useful, Usefulness, WorstProfile, WorstProfiles,
+    SafetyAnswer, Argument, BRAKING_MPS2, BrakingTimes, AssessmentChange, ClaimRow, AssessmentComparison, ComparisonError, SpaceSample,
+    SpaceSamples, SpaceDescriptions, EXAMPLE_MPS, EarlierAssessment, GsnElement, GsnElementKind, EscapeFile, DistinctFailure, FailureMap, FailureMaps,
+    FirstPage, Glossary, FixedParameter, KernelGap, LearnedPolicies, LearnedPolicy, LimitingAssumption, AssessmentLimits, StringStabilityVerdict, MAX_EVIDENCE_BYTES,
+    BuildInfo, FailureMapAxis, MapCell, MapRow, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
+    PercentInterval, CheckedCertificate, CertificateStatus, Proofs, AssessmentProvenance, SpecificationSearch, SpaceSpecificationSearches, SpecificationViolation, SpecificationSearches, ControllerSample,
+    ScenarioCases, FailureSearch, FailureSearches, SpaceDescription, SpaceSearches, CertificateSubject, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, ClaimSummary, FileScenarios, UnknownCell, ControllerUsefulness, UsefulnessReport, WorstProfile, WorstProfiles,
 };
 pub use figure_layout::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
 pub use shard::{EvidenceShardError, MergedEvidence, ASSESSMENT_SHARD_KIND, gather_shard};
-pub use cache::{EvidenceHash, Store, StoreError};
+pub use cache::{EvidenceHash, EvidenceCache, CacheError};
 
-use crumple_core::observer::{Counter, Observer, Progress, Stopped};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
@@ -64,8 +64,8 @@ use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
-use parts::Findings;
-use gather_context::Work;
+use parts::GatheredEvidence;
+use gather_context::GatherContext;
 
 /// The version of the JSON evidence this release writes.
 pub const EVIDENCE_VERSION: u32 = 3;
@@ -79,16 +79,16 @@ pub struct AssessmentReport {
     /// The first page: the question and its answer.
     pub first_page: FirstPage,
     /// The verdict: claims, and how strongly each is supported.
-    pub summary: Summary,
+    pub summary: ClaimSummary,
     /// All evidence, each piece with the claim that it speaks for.
     pub evidence: Ledger,
     /// The paper's three scenarios; none if the plan leaves the paper out.
     pub paper_scenarios: Option<PaperScenarios>,
     /// Failures counted on draws of spaces.
-    pub distributions: Distributions,
+    pub distributions: SpaceSamples,
     /// Scenarios from files; none if the configuration names none.
     #[serde(rename = "traffic")]
-    pub file_scenarios: Option<Traffic>,
+    pub file_scenarios: Option<FileScenarios>,
     /// Tests after regulations; none if the configuration names no suites.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suites: Option<Suites>,
@@ -103,22 +103,22 @@ pub struct AssessmentReport {
     /// What each controller survives over two parameters, and what no driver does.
     pub failure_maps: Option<FailureMaps>,
     /// What each controller does where nothing threatens; none if the plan makes no such drives.
-    pub usefulness: Option<Usefulness>,
+    pub usefulness: Option<UsefulnessReport>,
     /// What is proved.
     pub proofs: Proofs,
     /// How the learned policies drive; none if there are none among the controllers.
-    pub learned: Option<Learned>,
+    pub learned: Option<LearnedPolicies>,
     /// The spaces in numbers.
     #[serde(rename = "domains")]
     pub space_descriptions: SpaceDescriptions,
     /// What this does not show.
-    pub limits: Limits,
+    pub limits: AssessmentLimits,
     /// The verdict as a goal structure.
     pub argument: Argument,
     /// What changed since an earlier assessment; none if there is none to compare with.
-    pub comparison: Option<Comparison>,
+    pub comparison: Option<AssessmentComparison>,
     /// Where the evidence comes from.
-    pub provenance: Provenance,
+    pub provenance: AssessmentProvenance,
     /// Files that commands of the report need.
     pub command_files: Vec<CommandFile>,
 }
@@ -128,21 +128,21 @@ pub trait ReportPart {
     /// Anchor of the part in the page, and its heading.
     fn anchor_and_title(&self) -> (&'static str, String);
     /// Writes the part, without its heading.
-    fn write(&self, out: &mut Document);
+    fn write(&self, out: &mut ReportDocument);
 
     /// Returns the part as HTML, without its heading.
     fn to_html(&self) -> Markup {
-        self.document().into_html()
+        self.to_document().into_html()
     }
 
     /// Returns the part as Markdown, without its heading.
     fn to_markdown(&self) -> Markdown {
-        self.document().into_markdown()
+        self.to_document().into_markdown()
     }
 
     #[doc(hidden)]
-    fn to_document(&self) -> Document {
-        let mut document = Document::default();
+    fn to_document(&self) -> ReportDocument {
+        let mut document = ReportDocument::default();
         self.write(&mut document);
         document
     }
@@ -175,7 +175,7 @@ pub enum AssessError {
     Certificate(String),
     /// Evidence cannot be kept.
     #[error(transparent)]
-    Cache(#[from] StoreError),
+    Cache(#[from] CacheError),
     /// A rule does not fit a space.
     #[error("a rule does not fit: {0}")]
     Specification(#[from] SpecificationError),
@@ -212,28 +212,28 @@ pub enum AssessError {
 /// ```
 pub fn assess(
     plan: &AssessmentPlan,
-    store: &Store,
-    against: Option<&Earlier>,
-    observer: &dyn Observer<Progress>,
+    store: &EvidenceCache,
+    against: Option<&EarlierAssessment>,
+    observer: &dyn Observer<RunProgress>,
 ) -> Result<AssessmentReport, AssessError> {
-    let nothing_kept = Store::none();
+    let nothing_kept = EvidenceCache::disabled();
     let store = if plan.first_without_identity().is_none() { store } else { &nothing_kept };
-    let work = Work::new(store, Counter::new(observer, Some(plan.runs()))).with(&plan.controllers);
+    let work = GatherContext::new(store, ProgressCounter::new(observer, Some(plan.runs()))).with_controllers(&plan.controllers);
     let paper_scenarios = PaperScenarios::gather(plan, &work)?;
-    let distributions = Distributions::gather(plan, &work)?;
-    let traffic = Traffic::gather(plan, &work)?;
+    let distributions = SpaceSamples::gather(plan, &work)?;
+    let traffic = FileScenarios::gather(plan, &work)?;
     let suites = Suites::gather(plan, &work)?;
     let searches = FailureSearches::gather(plan, &work)?;
     let rules = SpecificationSearches::gather(plan, &work)?;
     let worst_profiles = WorstProfiles::gather(plan, &work)?;
     let failure_maps = FailureMaps::gather(plan, &work)?;
-    let usefulness = Usefulness::gather(plan, &work)?;
+    let usefulness = UsefulnessReport::gather(plan, &work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
     let proofs = Proofs::gather(plan, &work, scenarios)?;
     work.ensure_all_trusted()?;
-    let limits = Limits::of(plan);
-    let found = Findings {
+    let limits = AssessmentLimits::new(plan);
+    let found = GatheredEvidence {
         paper: paper_scenarios.as_ref(),
         distributions: &distributions,
         traffic: traffic.as_ref(),
@@ -244,26 +244,26 @@ pub fn assess(
         usefulness: usefulness.as_ref(),
         proofs: &proofs,
     };
-    let evidence = found.ledger(plan);
-    let summary = Summary::of(plan, &found, &evidence);
-    let first_page = FirstPage::of(plan, &summary, &searches, usefulness.as_ref(), &limits);
-    let argument = Argument::of(plan, &summary, &limits);
+    let evidence = found.collect_ledger(plan);
+    let summary = ClaimSummary::new(plan, &found, &evidence);
+    let first_page = FirstPage::new(plan, &summary, &searches, usefulness.as_ref(), &limits);
+    let argument = Argument::new(plan, &summary, &limits);
     let mut assessment = AssessmentReport {
         version: EVIDENCE_VERSION,
-        learned: paper_scenarios.as_ref().and_then(|paper| Learned::of(plan, paper)),
-        provenance: Provenance::of(plan, store),
+        learned: paper_scenarios.as_ref().and_then(|paper| LearnedPolicies::new(plan, paper)),
+        provenance: AssessmentProvenance::new(plan, store),
         comparison: None,
-        domains: SpaceDescriptions::of(plan, usefulness.as_ref()),
+        space_descriptions: SpaceDescriptions::new(plan, usefulness.as_ref()),
         command_files: plan.command_files()?,
         first_page,
         summary,
         evidence,
         paper_scenarios,
         distributions,
-        traffic,
+        file_scenarios: traffic,
         suites,
         searches,
-        rules,
+        specification_searches: rules,
         worst_profiles,
         failure_maps,
         usefulness,
@@ -271,7 +271,7 @@ pub fn assess(
         limits,
         argument,
     };
-    assessment.comparison = against.and_then(|earlier| Comparison::of(earlier, &assessment));
+    assessment.comparison = against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
     // Gates come last: they judge everything else.
     let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.judge(plan, &assessment)).collect();
     assessment.first_page.gates.clone_from(&gates);
@@ -284,15 +284,15 @@ impl AssessmentPlan {
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
-        let scenarios = (crumple_world::scenario::built_in_names().len() + self.traffic.len()) as u64;
+        let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.traffic.len()) as u64;
         // A search has a method and two reference searches.
         let searched_by = 1 + self.config.search.rules.len() as u64;
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget * searched_by;
-        let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::BUDGET as u64;
+        let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.distributions.len() as u64 * (learned + 1);
-        let tested: u64 = self.suites.iter().map(planned_suite::PlannedSuite::points).sum();
+        let tested: u64 = self.suites.iter().map(planned_suite::PlannedSuite::run_count).sum();
         tested + driven + controllers.saturating_mul(each) + counted.saturating_mul(self.config.rates.runs)
     }
 }
@@ -300,8 +300,8 @@ impl AssessmentPlan {
 impl AssessmentReport {
     /// The same with when and where it was made.
     #[must_use]
-    pub fn with_build_info(mut self, made: Made) -> Self {
-        self.provenance.made = Some(made);
+    pub fn with_build_info(mut self, made: BuildInfo) -> Self {
+        self.provenance.build_info = Some(made);
         self
     }
 
@@ -311,12 +311,12 @@ impl AssessmentReport {
         let mut parts: Vec<&dyn ReportPart> = vec![&self.first_page, &self.summary];
         parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn ReportPart));
         parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn ReportPart));
-        parts.extend(self.traffic.as_ref().map(|traffic| traffic as &dyn ReportPart));
+        parts.extend(self.file_scenarios.as_ref().map(|traffic| traffic as &dyn ReportPart));
         parts.extend(self.suites.as_ref().map(|suites| suites as &dyn ReportPart));
         let (is_drawn, is_searched) = (!self.distributions.spaces.is_empty(), !self.searches.spaces.is_empty());
         parts.extend(is_drawn.then_some(&self.distributions as &dyn ReportPart));
         parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
-        parts.extend(self.rules.as_ref().map(|rules| rules as &dyn ReportPart));
+        parts.extend(self.specification_searches.as_ref().map(|rules| rules as &dyn ReportPart));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));
         parts.extend([&self.proofs as &dyn ReportPart, &self.limits]);
         parts
@@ -329,26 +329,26 @@ impl AssessmentReport {
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn ReportPart));
         parts.extend(self.learned.as_ref().map(|learned| learned as &dyn ReportPart));
-        parts.extend([&self.domains as &dyn ReportPart, &Glossary, &self.provenance]);
+        parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
         parts
     }
 
     /// The report as one self-contained HTML page.
     #[must_use]
     pub fn to_html(&self) -> String {
-        page::html(self)
+        page::render_html(self)
     }
 
     /// The first page alone, as a self-contained HTML page: question, answer and reasons.
     #[must_use]
     pub fn first_page_to_html(&self) -> String {
-        page::first_page(self)
+        page::render_first_page(self)
     }
 
     /// The report as Markdown, without figures.
     #[must_use]
     pub fn to_markdown(&self) -> String {
-        page::markdown(self)
+        page::render_markdown(self)
     }
 
     /// The evidence as JSON.
@@ -365,36 +365,36 @@ impl AssessmentReport {
     /// [`RenderError`] in principle, if a writer fails.
     pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, RenderError> {
         let mut texts = vec![
-            ("assessment.html".to_owned(), self.html()),
-            ("assessment.md".to_owned(), self.markdown()),
-            ("assessment.json".to_owned(), self.json()?),
-            ("assessment.junit.xml".to_owned(), junit::xml(self)),
-            ("assessment.gsn.yaml".to_owned(), self.argument.yaml()),
-            ("replay.sh".to_owned(), commands::script(self.commands())),
+            ("assessment.html".to_owned(), self.to_html()),
+            ("assessment.md".to_owned(), self.to_markdown()),
+            ("assessment.json".to_owned(), self.to_json()?),
+            ("assessment.junit.xml".to_owned(), junit::render_junit(self)),
+            ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
+            ("replay.sh".to_owned(), commands::replay_script(self.commands())),
         ];
         texts.extend(
-            self.paper_scenarios.iter().flat_map(PaperScenarios::plates).map(|(name, svg)| (name, svg.document())),
+            self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files).map(|(name, svg)| (name, svg.document())),
         );
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
-        let failures = self.searches.failures().flat_map(Failure::files);
+        let failures = self.searches.failures().flat_map(DistinctFailure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
-        let of_rules = self.rules.iter().flat_map(SpecificationSearches::files);
+        let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::files);
         let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect();
         // Runs for other simulators are made of the counterexamples, and may be left out where a report is kept.
         let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
         let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
-        let manifest = manifest_of(REPORT, &self.provenance.config_sha256, contents)?;
+        let manifest = manifest_of(REPORT_KIND, &self.provenance.config_sha256, contents)?;
         all.push((MANIFEST.to_owned(), manifest.into_bytes()));
         Ok(all)
     }
 
     /// Every command that shows again what the report shows, in its order.
-    pub fn commands(&self) -> impl Iterator<Item = &Command> {
-        let failures = self.searches.failures().flat_map(Failure::commands);
+    pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
+        let failures = self.searches.failures().flat_map(DistinctFailure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
-        let of_rules = self.rules.iter().flat_map(SpecificationSearches::commands);
+        let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::commands);
         failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
     }
 }

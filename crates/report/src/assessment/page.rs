@@ -3,33 +3,33 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::Markdown;
-use super::{Assessment, Part};
+use super::{AssessmentReport, ReportPart};
 use crate::units::insert_nbsp_before_units;
 use crate::{PAGE_STYLE, draw};
-use crumple_core::quoted::Lines;
+use crumple_core::quoting::TerminalLines;
 
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
-pub(super) fn render_html(assessment: &Assessment) -> String {
+pub(super) fn render_html(assessment: &AssessmentReport) -> String {
     let (parts, appendix) = (assessment.parts(), assessment.appendix());
     let page: Markup = html! {
         (DOCTYPE)
         html lang="en" {
-            (head(assessment))
+            (html_head(assessment))
             body {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
                     h1 { (TITLE) }
-                    nav { @for (id, title) in parts.iter().chain(&appendix).map(|part| part.heading()) { a href={ "#" (id) } { (title) } " " } }
+                    nav { @for (id, title) in parts.iter().chain(&appendix).map(|part| part.anchor_and_title()) { a href={ "#" (id) } { (title) } " " } }
                 }
                 main {
                     @for part in &parts {
-                        section id=(part.heading().0) { h2 { (part.heading().1) } (part.html()) }
+                        section id=(part.anchor_and_title().0) { h2 { (part.anchor_and_title().1) } (part.to_html()) }
                     }
                     div.appendix {
                         h1 { "Appendix" }
                         @for part in &appendix {
-                            section id=(part.heading().0) { h2 { (part.heading().1) } (part.html()) }
+                            section id=(part.anchor_and_title().0) { h2 { (part.anchor_and_title().1) } (part.to_html()) }
                         }
                     }
                 }
@@ -38,19 +38,19 @@ pub(super) fn render_html(assessment: &Assessment) -> String {
         }
     };
     // A page is text too: what turns the direction of names would turn the verdict beside them.
-    insert_nbsp_before_units(&Lines(&page.into_string()).to_string())
+    insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
 /// The first page alone, as a page.
-pub(super) fn render_first_page(assessment: &Assessment) -> String {
+pub(super) fn render_first_page(assessment: &AssessmentReport) -> String {
     let page = html! {
         (DOCTYPE)
-        html lang="en" { (head(assessment)) body { main { section { (assessment.first_page.html()) } } } }
+        html lang="en" { (html_head(assessment)) body { main { section { (assessment.first_page.to_html()) } } } }
     };
-    insert_nbsp_before_units(&Lines(&page.into_string()).to_string())
+    insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
-fn html_head(assessment: &Assessment) -> Markup {
+fn html_head(assessment: &AssessmentReport) -> Markup {
     html! {
         head {
             meta charset="utf-8";
@@ -62,13 +62,13 @@ fn html_head(assessment: &Assessment) -> Markup {
     }
 }
 
-pub(super) fn render_markdown(assessment: &Assessment) -> String {
+pub(super) fn render_markdown(assessment: &AssessmentReport) -> String {
     let mut text = Markdown::default();
     for (heading, parts) in [(TITLE, assessment.parts()), ("Appendix", assessment.appendix())] {
         text.heading(1, heading);
         for part in parts {
-            text.heading(2, &part.heading().1);
-            text.part(&part.markdown());
+            text.heading(2, &part.anchor_and_title().1);
+            text.append(&part.to_markdown());
         }
     }
     text.into_string()

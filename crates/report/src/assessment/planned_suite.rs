@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::AssessConfig;
-use super::claims::Known;
-use crumple_suites::{SHIPPED, Suite};
+use super::claims::ContentId;
+use crumple_suites::{SHIPPED_SUITES, TestSuite};
 use crumple_world::sim::NamedController;
 
 /// Most suites of an assessment.
@@ -30,9 +30,9 @@ pub struct SuiteConfig {
 pub(super) struct PlannedSuite {
     /// The name in the configuration.
     pub(super) config_name: String,
-    pub(super) suite: Suite,
+    pub(super) suite: TestSuite,
     /// Its hash, under its own name.
-    pub(super) content_id: Known,
+    pub(super) content_id: ContentId,
     /// Controllers by their places in the plan, in its order.
     pub(super) controller_indices: Vec<usize>,
 }
@@ -47,12 +47,12 @@ impl PlannedSuite {
         place_of: impl Fn(&mut String) -> Option<usize>,
     ) -> Result<Vec<Self>, (String, String)> {
         if config.suites.len() > MAX_SUITES {
-            return Err(("suites".to_owned(), format!("must be at most {MOST_SUITES}, found {}", config.suites.len())));
+            return Err(("suites".to_owned(), format!("must be at most {MAX_SUITES}, found {}", config.suites.len())));
         }
         let mut planned: Vec<Self> = Vec::new();
         for (index, asked) in config.suites.iter_mut().enumerate() {
             let field = format!("suites[{index}].suite");
-            let suite = find(&asked.suite, folder).map_err(|problem| (field.clone(), problem))?;
+            let suite = find_suite(&asked.suite, folder).map_err(|problem| (field.clone(), problem))?;
             if planned.iter().any(|known| known.suite.spec().name == suite.spec().name) {
                 return Err((field, format!("the name `{}` is taken by another suite", suite.spec().name)));
             }
@@ -81,8 +81,8 @@ impl PlannedSuite {
             tested.sort_unstable();
             tested.dedup();
             let text = serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
-            let known = Known::of(suite.spec().name.as_str(), text);
-            planned.push(Self { named: asked.suite.clone(), suite, known, tested });
+            let known = ContentId::new(suite.spec().name.as_str(), text);
+            planned.push(Self { config_name: asked.suite.clone(), suite, content_id: known, controller_indices: tested });
         }
         Ok(planned)
     }
@@ -91,21 +91,21 @@ impl PlannedSuite {
     pub(super) fn run_count(&self) -> u64 {
         let tests = self.suite.spec().clauses.iter().flat_map(|clause| &clause.tests);
         let points: usize = tests.filter(|test| test.lead.is_some()).map(|test| test.grid().len()).sum();
-        (points * self.tested.len()) as u64
+        (points * self.controller_indices.len()) as u64
     }
 }
 
 /// The suite that is shipped under a name, or the one in a file.
-fn find_suite(name: &str, folder: &Path) -> Result<Suite, String> {
-    if let Some(suite) = Suite::shipped(name) {
+fn find_suite(name: &str, folder: &Path) -> Result<TestSuite, String> {
+    if let Some(suite) = TestSuite::shipped(name) {
         return suite.map_err(|error| error.to_string());
     }
     if Path::new(name).extension().is_none_or(|ending| ending != "toml") {
-        let known: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
+        let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
         return Err(format!("`{name}` is neither a suite that is shipped ({}) nor a .toml file", known.join(", ")));
     }
-    let suite = Suite::load(&folder.join(name)).map_err(|error| error.to_string())?;
-    match Suite::shipped(&suite.spec().name) {
+    let suite = TestSuite::load(&folder.join(name)).map_err(|error| error.to_string())?;
+    match TestSuite::shipped(&suite.spec().name) {
         Some(Ok(shipped)) if shipped != suite => {
             Err(format!("the name `{}` is that of a suite that is shipped, with other contents", suite.spec().name))
         }

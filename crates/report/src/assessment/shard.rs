@@ -10,14 +10,14 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::evidence_tasks::pieces;
-use super::cache::{Kept, Store, StoreError};
-use super::gather_context::Work as Gathering;
+use super::evidence_tasks::evidence_tasks;
+use super::cache::{CacheEntry, EvidenceCache, CacheError};
+use super::gather_context::GatherContext as Gathering;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{Counter, Observer, Progress};
+use crumple_core::observer::{ProgressCounter, Observer, RunProgress};
 use crumple_store::disk::DiskError;
-use crumple_store::shard::{MergeError, Mergeable, Merged, MissingShards, Shard, Sharded, TooManyShards, open_shard};
+use crumple_store::shard::{MergeError, Mergeable, MergedShards, MissingShards, ShardId, Sharded, TooManyShards, open_shard};
 use crumple_store::gather_context::{Finished, WorkError};
 use crumple_world::scenario::file;
 
@@ -46,8 +46,8 @@ pub enum EvidenceShardError {
     Assess(#[from] AssessError),
 }
 
-impl From<StoreError> for EvidenceShardError {
-    fn from(error: StoreError) -> Self {
+impl From<CacheError> for EvidenceShardError {
+    fn from(error: CacheError) -> Self {
         Self::Assess(error.into())
     }
 }
@@ -61,14 +61,14 @@ struct ShardedAssessment {
 impl Sharded for ShardedAssessment {
     const KIND: &'static str = ASSESSMENT_SHARD_KIND;
     const VERSION: u32 = 1;
-    const RESULTS: &'static str = EVIDENCE;
-    const PARTS: &'static str = "pieces of evidence";
+    const RESULTS_FILE: &'static str = EVIDENCE_FILE;
+    const PARTS_NAME: &'static str = "pieces of evidence";
 
-    fn parts(&self) -> u64 {
-        self.assessment.pieces.len() as u64
+    fn part_count(&self) -> u64 {
+        self.assessment.tasks.len() as u64
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    fn differing_field(&self, other: &Self) -> Option<String> {
         if self == other {
             return None;
         }
@@ -80,11 +80,11 @@ impl Sharded for ShardedAssessment {
 }
 
 impl Mergeable for ShardedAssessment {
-    type File = Vec<Kept>;
-    type Results = Vec<Kept>;
+    type File = Vec<CacheEntry>;
+    type Results = Vec<CacheEntry>;
 
-    fn check(&self, kept: Vec<Kept>, _: Shard, _: &Range<u64>) -> Result<Vec<Kept>, String> {
-        match kept.iter().all(|one| one.is_sound(&self.assessment.program)) {
+    fn check(&self, kept: Vec<CacheEntry>, _: ShardId, _: &Range<u64>) -> Result<Vec<CacheEntry>, String> {
+        match kept.iter().all(|one| one.is_intact(&self.assessment.program)) {
             true => Ok(kept),
             false => Err("not evidence of that build".to_owned()),
         }
@@ -111,29 +111,29 @@ struct AssessmentFingerprint {
 /// be gathered, or `observer` stops the shard.
 pub fn gather_shard(
     plan: &AssessmentPlan,
-    shard: Shard,
+    shard: ShardId,
     folder: &Path,
     program: &str,
-    observer: &dyn Observer<Progress>,
+    observer: &dyn Observer<RunProgress>,
 ) -> Result<u64, EvidenceShardError> {
     if let Some(unknown) = plan.first_without_identity() {
-        return Err(EvidenceShardError::Unknown(unknown.name.clone()));
+        return Err(EvidenceShardError::NoIdentity(unknown.name.clone()));
     }
-    let all = pieces(plan)?;
-    let range = shard.range(all.len() as u64, ShardedAssessment::PARTS)?;
+    let all = evidence_tasks(plan)?;
+    let range = shard.range(all.len() as u64, ShardedAssessment::PARTS_NAME)?;
     let own = all.get(range.start as usize..range.end as usize).unwrap_or_default();
     let assessment = AssessmentFingerprint {
         program: program.to_owned(),
-        plan_sha256: digest(plan)?,
-        pieces: all.iter().map(|piece| piece.name.clone()).collect(),
+        plan_sha256: plan_digest(plan)?,
+        tasks: all.iter().map(|piece| piece.name.clone()).collect(),
     };
     let work = open_shard(&ShardedAssessment { assessment }, shard, folder, true)?;
-    let under_way = folder.join(UNDER_WAY);
+    let under_way = folder.join(CACHE_FOLDER);
     if !work.is_complete() {
-        let store = Store::open(&under_way, program, false)?;
-        let gathering = Gathering::new(&store, Counter::new(observer, None)).with(&plan.controllers);
+        let store = EvidenceCache::open(&under_way, program, false)?;
+        let gathering = Gathering::new(&store, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
-        work.write(EVIDENCE, text(&store.kept()?)?)?;
+        work.write(EVIDENCE_FILE, to_json_line(&store.entries()?)?)?;
         work.finish()?;
     }
     // It may have ended before that.
@@ -147,7 +147,7 @@ pub fn gather_shard(
 
 /// Shards of one assessment.
 #[derive(Debug)]
-pub struct MergedEvidence(Merged<ShardedAssessment>);
+pub struct MergedEvidence(MergedShards<ShardedAssessment>);
 
 impl MergedEvidence {
     /// Begins with a shard.
@@ -155,7 +155,7 @@ impl MergedEvidence {
     /// # Errors
     /// [`MergeError`] if it cannot be read.
     pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
-        Merged::of(folder, found).map(Self)
+        MergedShards::new(folder, found).map(Self)
     }
 
     /// Adds another shard. After an error nothing has changed.
@@ -163,15 +163,15 @@ impl MergedEvidence {
     /// # Errors
     /// [`MergeError`] if it cannot be read, or is not a shard of the same assessment.
     pub fn add_shard(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
-        self.0.take(folder, found)
+        self.0.add(folder, found)
     }
 
     /// Pieces that no shard has gathered.
     #[must_use]
     pub fn missing_tasks(&self) -> Vec<String> {
-        let pieces = &self.0.work().assessment.pieces;
+        let pieces = &self.0.work().assessment.tasks;
         let of = |range: Range<u64>| pieces.get(range.start as usize..range.end as usize);
-        self.0.missing().into_iter().filter_map(of).flatten().cloned().collect()
+        self.0.missing_ranges().into_iter().filter_map(of).flatten().cloned().collect()
     }
 
     /// Which shards are missing.
@@ -190,22 +190,22 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`StoreError`] if it cannot be written, or is in use.
-    pub fn write_to_cache(&self, folder: &Path) -> Result<usize, StoreError> {
-        let store = Store::open(folder, &self.0.work().assessment.program, false)?;
+    pub fn write_to_cache(&self, folder: &Path) -> Result<usize, CacheError> {
+        let store = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
         let all = self.0.results().flatten();
-        all.map(|kept| store.keep(kept)).sum()
+        all.map(|kept| store.insert(kept)).sum()
     }
 }
 
 /// Of all that decides the evidence.
-fn plan_digest(plan: &AssessmentPlan) -> Result<String, StoreError> {
+fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
     let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
     let traffic = plan.traffic.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
-    let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(StoreError::encoding)?;
+    let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(CacheError::encoding)?;
     let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.known.sha256).collect();
     Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
 }
 
-fn to_json_line(value: &impl Serialize) -> Result<String, StoreError> {
-    Ok(serde_json::to_string(value).map_err(StoreError::encoding)? + "\n")
+fn to_json_line(value: &impl Serialize) -> Result<String, CacheError> {
+    Ok(serde_json::to_string(value).map_err(CacheError::encoding)? + "\n")
 }

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::markdown::Markdown;
-use super::prose::prose;
+use super::prose::prose_to_html;
 
 /// A table of text. Cells may carry a mark, so that a reader finds failures without relying on colour.
 #[derive(Debug, Clone, Default)]
@@ -35,7 +35,7 @@ pub(super) enum CellMark {
 impl CellMark {
     fn css_class(self) -> Option<&'static str> {
         match self {
-            Self::None => None,
+            Self::Neutral => None,
             Self::Good => Some("good judged"),
             Self::Bad => Some("bad judged"),
             Self::Number => Some("number"),
@@ -44,7 +44,7 @@ impl CellMark {
 
     fn sign(self) -> &'static str {
         match self {
-            Self::None | Self::Number => "",
+            Self::Neutral | Self::Number => "",
             Self::Good => "✓ ",
             Self::Bad => "✗ ",
         }
@@ -66,7 +66,7 @@ impl ReportCell {
     }
 
     pub(super) fn text(text: impl ToString) -> Self {
-        Self { text: text.to_string(), mark: CellMark::None }
+        Self { text: text.to_string(), mark: CellMark::Neutral }
     }
 
     pub(super) fn number(number: impl ToString) -> Self {
@@ -89,7 +89,7 @@ impl ReportTable {
 
     /// Builds a table with a row for each item.
     pub(super) fn from_items<T>(items: impl IntoIterator<Item = T>, columns: &[ReportColumn<'_, T>]) -> Self {
-        Self::without(items, columns, None)
+        Self::from_items_without(items, columns, None)
     }
 
     /// Builds a table with a row for each item, and leaves out one column.
@@ -100,7 +100,7 @@ impl ReportTable {
     ) -> Self {
         let columns = || columns.iter().enumerate().filter(|(place, _)| Some(*place) != left_out).map(|(_, one)| one);
         let mut table = Self::new(&columns().map(|(name, _)| *name).collect::<Vec<_>>());
-        items.into_iter().for_each(|item| table.row(columns().map(|(_, cell)| cell(&item)).collect()));
+        items.into_iter().for_each(|item| table.push_row(columns().map(|(_, cell)| cell(&item)).collect()));
         table
     }
 
@@ -124,9 +124,9 @@ impl ReportTable {
                         @for row in &self.rows { tr {
                             @for (column, cell) in row.iter().enumerate() {
                                 @if column == 0 {
-                                    th scope="row" { (cell.mark.sign()) (prose(&cell.text)) }
+                                    th scope="row" { (cell.mark.sign()) (prose_to_html(&cell.text)) }
                                 } @else {
-                                    td class=[cell.mark.class()] { (cell.mark.sign()) (prose(&cell.text)) }
+                                    td class=[cell.mark.css_class()] { (cell.mark.sign()) (prose_to_html(&cell.text)) }
                                 }
                             }
                         } }

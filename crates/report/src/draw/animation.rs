@@ -6,13 +6,13 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::animation_data::AnimationData;
-use super::label::Frame;
+use super::label::PixelRect;
 use super::vehicle_names::vehicle_names;
-use super::panel::{Anchor, Marker, mark, straight, tag, tag_width, words};
+use super::panel::{Anchor, Marker, draw_marker, draw_line, draw_tag, tag_width, draw_text};
 use super::path::Px;
-use super::scale::signed;
+use super::scale::format_number;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
-use super::{Place, Svg};
+use super::{PixelPoint, Svg};
 use crumple_world::scenario::{Scenario, VehicleClass};
 use crumple_world::sim::{Impact, Trace};
 
@@ -47,13 +47,13 @@ struct LaneView<'a> {
 pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario, impacts: &[Impact]) -> Markup {
     let labels = vehicle_names(scenario);
     let classes: Vec<VehicleClass> = scenario.vehicles().iter().map(|vehicle| vehicle.class).collect();
-    let data = AnimationData::of(trace, impacts);
-    let last = data.samples().saturating_sub(1);
+    let data = AnimationData::new(trace, impacts);
+    let last = data.sample_count().saturating_sub(1);
     let end = format!("{:.2} s", data.end_s());
     let view = |name: &str, width: f64| {
         let px_per_m = width / data.window_m();
         let view = LaneView { data: &data, width, px_per_m, camera_m: data.camera_m(last) };
-        view.svg(&Svg::id(id, name), title, &classes)
+        view.draw(&Svg::id(id, name), title, &classes)
     };
     html! {
         div.draw-animation id=(Svg::id(id, "animation")) data-dash=(DASH_PERIOD_M) role="group" aria-label=(title) {
@@ -64,7 +64,7 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
                 button type="button" { "Play" }
                 input type="range" min="0" max=(last) value=(last) step="1" aria-label="Time" aria-valuetext=(end);
             }
-            p.draw-state { span.draw-time { (end) } " " span.draw-event { (data.event(data.end_s())) } }
+            p.draw-state { span.draw-time { (end) } " " span.draw-event { (data.event_text(data.end_s())) } }
             div.scroll tabindex="0" { table {
                 thead { tr {
                     th scope="col" { "vehicle" }
@@ -74,13 +74,13 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
                 } }
                 tbody { @for (index, vehicle) in data.vehicles().iter().enumerate() { tr {
                     th scope="row" { (index) " " (labels.get(index).map_or("", String::as_str)) }
-                    td.number { (vehicle.speed_mps(last).map_or(String::new(), |v| signed(v, 1))) }
-                    td.number { (vehicle.acceleration_mps2(last).map_or(String::new(), |a| signed(a, 1))) }
-                    td.number { (data.gap_m(index, last).map_or("–".to_owned(), |gap| signed(gap, 2))) }
+                    td.number { (vehicle.speed_mps(last).map_or(String::new(), |v| format_number(v, 1))) }
+                    td.number { (vehicle.acceleration_mps2(last).map_or(String::new(), |a| format_number(a, 1))) }
+                    td.number { (data.gap_m(index, last).map_or("–".to_owned(), |gap| format_number(gap, 2))) }
                 } } }
             } }
             // Only numbers stand in it: nothing there can end the element.
-            script type="application/json" { (PreEscaped(data.json())) }
+            script type="application/json" { (PreEscaped(data.to_json())) }
         }
     }
 }
@@ -91,13 +91,13 @@ impl LaneView<'_> {
     }
 
     fn draw(&self, prefix: &str, title: &str, classes: &[VehicleClass]) -> Svg {
-        let last = self.data.samples().saturating_sub(1);
+        let last = self.data.sample_count().saturating_sub(1);
         let (top, bottom) = (SPACE_ABOVE, SPACE_ABOVE + LANE_HEIGHT);
         let middle = SPACE_ABOVE + LANE_HEIGHT / 2.0;
         let below = SPACE_BELOW + if self.data.has_lane_changes() { ADJACENT_LANE_HEIGHT } else { 0.0 };
         let beside = bottom + SPACE_BELOW - 16.0;
         let clip = Svg::id(prefix, "clip");
-        let edge = |y| straight((0.0, y), (self.width, y), Stroke::solid(Ink::Axis, 1.4));
+        let edge = |y| draw_line((0.0, y), (self.width, y), Stroke::solid(Ink::Axis, 1.4));
         let dash = DASH_PERIOD_M * self.px_per_m;
         let content = html! {
             clipPath id=(clip) { rect x="0" y="0" width=(Px(self.width)) height=(Px(bottom + below)) {} }
@@ -110,21 +110,21 @@ impl LaneView<'_> {
                     stroke-dashoffset=(Px(self.dash_offset())) {}
                 @for (index, vehicle) in self.data.vehicles().iter().enumerate() {
                     @let class = classes.get(index).copied().unwrap_or(VehicleClass::Light);
-                    @let x = self.x(vehicle.position_m(last).unwrap_or(0.0));
+                    @let x = self.to_px(vehicle.position_m(last).unwrap_or(0.0));
                     @let braking = vehicle.acceleration_mps2(last).is_some_and(|a| a < -0.5);
                     @let y = if self.data.is_in_lane(index, last) { middle } else { beside };
                     g class="draw-vehicle" transform={ "translate(" (Px(x)) " " (Px(y)) ")" } {
-                        (self.body(vehicle.length_m(), class, index, braking))
+                        (self.draw_vehicle(vehicle.length_m(), class, index, braking))
                     }
                 }
                 @for rear in 1..self.data.vehicles().len() {
                     @let is_below = rear % 2 == 1 && !self.data.has_lane_changes();
-                    (self.gap(rear, last, if is_below { bottom + 22.0 } else { top - 8.0 }))
+                    (self.draw_gap(rear, last, if is_below { bottom + 22.0 } else { top - 8.0 }))
                 }
                 @for impact in self.data.impacts() {
-                    @let x = self.x(self.data.impact_position_m(impact, last));
+                    @let x = self.to_px(self.data.impact_position_m(impact, last));
                     g class="draw-impact" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
-                        (mark((0.0, 0.0), Marker::Burst, Ink::Alert))
+                        (draw_marker((0.0, 0.0), Marker::Burst, Ink::Alert))
                     }
                 }
             }
@@ -142,7 +142,7 @@ impl LaneView<'_> {
             VehicleClass::Light => 22.0,
             VehicleClass::Heavy => 30.0,
         };
-        let Frame { left, top, .. } = Frame::around((-length / 2.0, 0.0), length, width);
+        let PixelRect { left, top, .. } = PixelRect::from_center((-length / 2.0, 0.0), length, width);
         let (ink, number) = (Ink::Series(index), index.to_string());
         html! {
             rect x=(Px(left)) y=(Px(top)) width=(Px(length)) height=(Px(width)) rx="3" fill=(ink.hex())
@@ -153,9 +153,9 @@ impl LaneView<'_> {
             path class="draw-brake" d={ "M" (Px(left + 1.5)) " " (Px(top + 2.0)) "V" (Px(-top - 2.0)) }
                 stroke=(Ink::Alert.hex()) stroke-width="4" visibility=[(!braking).then_some("hidden")] {}
             @if length >= 1.9 * tag_width(&number) {
-                (tag((-length / 2.0, 0.0), &number, ink))
+                (draw_tag((-length / 2.0, 0.0), &number, ink))
             } @else {
-                (words((-length / 2.0, SMALL_TEXT_SIZE * 0.35), Anchor::Middle, &number, SMALL_TEXT_SIZE, Ink::Text, true))
+                (draw_text((-length / 2.0, SMALL_TEXT_SIZE * 0.35), Anchor::Middle, &number, SMALL_TEXT_SIZE, Ink::Text, true))
             }
         }
     }
@@ -165,23 +165,23 @@ impl LaneView<'_> {
         let ahead_m = self.data.gap_m(rear, sample);
         let gap_m = ahead_m.unwrap_or(0.0);
         let from = self.data.vehicles().get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
-        let place: Place = (self.x(from + gap_m / 2.0), y);
+        let place: PixelPoint = (self.to_px(from + gap_m / 2.0), y);
         html! {
             g class="draw-gap" transform={ "translate(" (Px(place.0)) " " (Px(place.1)) ")" } {
-                @let said = ahead_m.map_or(String::new(), |gap_m| format!("{} m", signed(gap_m, 1)));
-                (words((0.0, 0.0), Anchor::Middle, &said, SMALL_TEXT_SIZE, Ink::Text, false))
+                @let said = ahead_m.map_or(String::new(), |gap_m| format!("{} m", format_number(gap_m, 1)));
+                (draw_text((0.0, 0.0), Anchor::Middle, &said, SMALL_TEXT_SIZE, Ink::Text, false))
             }
         }
     }
 
-    fn draw_scale_bar(&self, (right, y): Place) -> Markup {
+    fn draw_scale_bar(&self, (right, y): PixelPoint) -> Markup {
         let metres = if DASH_PERIOD_M * self.px_per_m > 24.0 { DASH_PERIOD_M } else { 5.0 * DASH_PERIOD_M };
         let left = right - metres * self.px_per_m;
         html! {
-            (straight((left, y), (right, y), Stroke::solid(Ink::Muted, 1.2)))
-            (straight((left, y - 3.0), (left, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
-            (straight((right, y - 3.0), (right, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
-            (words((left - 5.0, y + SMALL_TEXT_SIZE * 0.35), Anchor::End, &format!("{metres} m"), SMALL_TEXT_SIZE, Ink::Muted, false))
+            (draw_line((left, y), (right, y), Stroke::solid(Ink::Muted, 1.2)))
+            (draw_line((left, y - 3.0), (left, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
+            (draw_line((right, y - 3.0), (right, y + 3.0), Stroke::solid(Ink::Muted, 1.2)))
+            (draw_text((left - 5.0, y + SMALL_TEXT_SIZE * 0.35), Anchor::End, &format!("{metres} m"), SMALL_TEXT_SIZE, Ink::Muted, false))
         }
     }
 

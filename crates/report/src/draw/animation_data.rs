@@ -57,23 +57,23 @@ impl AnimationData {
         let end_s = last_s.min(start_s + steps as f64 * STEP_S);
         let times: Vec<f64> = (0..=steps).map(|step| (start_s + step as f64 * STEP_S).min(end_s)).collect();
         let vehicles: Vec<VehicleData> =
-            trace.vehicles.iter().map(|track| VehicleData::of(&trace.time_s, track, &times)).collect();
+            trace.vehicles.iter().map(|track| VehicleData::new(&trace.time_s, track, &times)).collect();
         let impacts: Vec<ImpactData> = impacts
             .iter()
             .map(|impact| &impact.contact)
             .filter(|contact| contact.time_s.is_finite() && (1..vehicles.len()).contains(&contact.rear_vehicle))
             .map(|contact| ImpactData {
-                time_s: rounded(contact.time_s, 4),
+                time_s: round_to_digits(contact.time_s, 4),
                 front: contact.front_vehicle,
                 rear: contact.rear_vehicle,
                 // As a report rounds it, so that both say the same.
-                impact_speed_mps: rounded(contact.impact_speed_mps, 1),
+                impact_speed_mps: round_to_digits(contact.impact_speed_mps, 1),
             })
             .collect();
         let mut data = Self {
             step_s: STEP_S,
-            start_s: rounded(start_s, 4),
-            end_s: rounded(end_s, 4),
+            start_s: round_to_digits(start_s, 4),
+            end_s: round_to_digits(end_s, 4),
             centred: (0, vehicles.len().saturating_sub(1)),
             vehicles,
             impacts,
@@ -166,17 +166,17 @@ impl AnimationData {
 impl VehicleData {
     fn new(time_s: &[f64], track: &Track, at_s: &[f64]) -> Self {
         let sampled = |values: &[f64], digits| -> Vec<f64> {
-            at_s.iter().map(|&at| rounded(between(time_s, values, at), digits)).collect()
+            at_s.iter().map(|&at| round_to_digits(interpolate(time_s, values, at), digits)).collect()
         };
         // JSON has no infinity: beyond the run is as good.
         let [first_s, last_s] = [at_s.first(), at_s.last()].map(|at_s| at_s.copied().unwrap_or(0.0));
-        let within = |time_s: f64| rounded(time_s.clamp(first_s - 1.0, last_s + 1.0), 4);
+        let within = |time_s: f64| round_to_digits(time_s.clamp(first_s - 1.0, last_s + 1.0), 4);
         Self {
             in_lane_s: (track.in_lane_s != Track::THROUGHOUT_S).then(|| track.in_lane_s.map(within)),
-            length_m: rounded(track.length_m, 2),
+            length_m: round_to_digits(track.length_m, 2),
             position_m: sampled(&track.position_m, 2),
             speed_mps: sampled(&track.speed_mps, 2),
-            acceleration_mps2: at_s.iter().map(|&at| rounded(held(time_s, &track.acceleration_mps2, at), 1)).collect(),
+            acceleration_mps2: at_s.iter().map(|&at| round_to_digits(hold_previous(time_s, &track.acceleration_mps2, at), 1)).collect(),
         }
     }
 

@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::label::{Frame, printable};
-use super::panel::{Anchor, straight, words};
+use super::label::{PixelRect, strip_unprintable};
+use super::panel::{Anchor, draw_line, draw_text};
 use super::path::Px;
-use super::scale::{Scale, Ticks, drawable};
+use super::scale::{LinearScale, Ticks, drawable_interval};
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke};
 
 /// Width left of a panel's frame that ticks and their labels take, in pixels.
@@ -30,16 +30,16 @@ impl Axis {
     /// An axis of numbers with round ones marked, about `most` (5 to 10) of them.
     #[must_use]
     pub fn numeric(title: &str, domain: (f64, f64), most: usize) -> Self {
-        let domain = drawable(domain);
-        let marks = Ticks::within(domain, most).labelled().collect();
-        Self { title: title.to_owned(), domain, marks, grid: true }
+        let domain = drawable_interval(domain);
+        let marks = Ticks::new(domain, most).labels().collect();
+        Self { title: title.to_owned(), domain, ticks: marks, has_grid: true }
     }
 
     /// An axis on which the caller says what is marked where: for scales that are not even in the number, such as a
     /// logarithmic one.
     #[must_use]
     pub fn with_ticks(title: &str, domain: (f64, f64), marks: Vec<(f64, String)>) -> Self {
-        Self { title: title.to_owned(), domain: drawable(domain), marks, grid: true }
+        Self { title: title.to_owned(), domain: drawable_interval(domain), ticks: marks, has_grid: true }
     }
 
     /// An axis of names: the `n`-th at the value `n`, with half a unit around.
@@ -50,20 +50,20 @@ impl Axis {
     pub fn categorical<S: AsRef<str>>(title: &str, names: &[S]) -> Self {
         let marks = names.iter().enumerate().map(|(index, name)| (index as f64, name.as_ref().to_owned())).collect();
         let domain = (-0.5, names.len().max(1) as f64 - 0.5);
-        Self { title: title.to_owned(), domain, marks, grid: false }
+        Self { title: title.to_owned(), domain, ticks: marks, has_grid: false }
     }
 
     /// An axis that is not drawn.
     #[must_use]
     pub fn hidden(domain: (f64, f64)) -> Self {
-        Self { title: String::new(), domain: drawable(domain), marks: Vec::new(), grid: false }
+        Self { title: String::new(), domain: drawable_interval(domain), ticks: Vec::new(), has_grid: false }
     }
 
     /// The axis from its other end: for names that read from top to bottom.
     #[must_use]
     pub(crate) fn reversed(mut self) -> Self {
         let (low, high) = self.domain;
-        for (value, _) in &mut self.marks {
+        for (value, _) in &mut self.ticks {
             *value = low + high - *value;
         }
         self
@@ -76,36 +76,36 @@ impl Axis {
     }
 
     /// Grid, ticks, labels and title along the bottom of `frame`.
-    pub(super) fn draw_horizontal(&self, scale: &Scale, frame: Frame) -> Markup {
+    pub(super) fn draw_horizontal(&self, scale: &LinearScale, frame: PixelRect) -> Markup {
         let bottom = frame.bottom();
         html! {
-            @for (value, label) in &self.marks {
-                @let x = scale.px(*value);
-                @if self.grid {
-                    (straight((x, frame.top), (x, bottom), Stroke::solid(Ink::Grid, 0.8)))
-                    (straight((x, bottom), (x, bottom + 4.0), Stroke::solid(Ink::Axis, 1.0)))
+            @for (value, label) in &self.ticks {
+                @let x = scale.to_px(*value);
+                @if self.has_grid {
+                    (draw_line((x, frame.top), (x, bottom), Stroke::solid(Ink::Grid, 0.8)))
+                    (draw_line((x, bottom), (x, bottom + 4.0), Stroke::solid(Ink::Axis, 1.0)))
                 }
-                (words((x, bottom + 15.0), Anchor::Middle, label, SMALL_TEXT_SIZE, Ink::Text, false))
+                (draw_text((x, bottom + 15.0), Anchor::Middle, label, SMALL_TEXT_SIZE, Ink::Text, false))
             }
-            @if !self.marks.is_empty() {
-                (straight((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
+            @if !self.ticks.is_empty() {
+                (draw_line((frame.left, bottom), (frame.right(), bottom), Stroke::solid(Ink::Axis, 1.0)))
             }
             @if !self.title.is_empty() {
-                (words((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
+                (draw_text((frame.right(), bottom + 30.0), Anchor::End, &self.title, SMALL_TEXT_SIZE, Ink::Muted, false))
             }
         }
     }
 
     /// Grid, ticks and labels along the left of `frame`.
-    pub(super) fn draw_vertical(&self, scale: &Scale, frame: Frame) -> Markup {
+    pub(super) fn draw_vertical(&self, scale: &LinearScale, frame: PixelRect) -> Markup {
         html! {
-            @for (value, label) in &self.marks {
-                @let y = scale.px(*value);
-                @if self.grid {
-                    (straight((frame.left, y), (frame.right(), y), Stroke::solid(Ink::Grid, 0.8)))
+            @for (value, label) in &self.ticks {
+                @let y = scale.to_px(*value);
+                @if self.has_grid {
+                    (draw_line((frame.left, y), (frame.right(), y), Stroke::solid(Ink::Grid, 0.8)))
                 }
                 text x=(Px(frame.left - 6.0)) y=(Px(y + SMALL_TEXT_SIZE * 0.35)) text-anchor="end" font-size=(Px(SMALL_TEXT_SIZE))
-                    fill=(Ink::Text.hex()) { (printable(label)) }
+                    fill=(Ink::Text.hex()) { (strip_unprintable(label)) }
             }
         }
     }

@@ -4,9 +4,9 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
-use super::label::{Frame, text_width};
-use super::panel::{Anchor, Marker, mark, straight, words};
-use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
+use super::label::{PixelRect, text_width};
+use super::panel::{Anchor, Marker, draw_marker, draw_line, draw_text};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 
 /// Height of a row of the key, and side of a sample in it, in pixels.
 const LEGEND_ROW_HEIGHT: f64 = 22.0;
@@ -37,20 +37,20 @@ pub enum LegendEntry<'a> {
 }
 
 /// The cells of a grid within a frame, row by row from the top.
-pub(crate) fn grid_rects(frame: Frame, columns: usize, rows: usize) -> impl Iterator<Item = Frame> {
+pub(crate) fn grid_rects(frame: PixelRect, columns: usize, rows: usize) -> impl Iterator<Item = PixelRect> {
     let (width, height) = (frame.width / columns.max(1) as f64, frame.height / rows.max(1) as f64);
     (0..rows).flat_map(move |row| {
         (0..columns).map(move |column| {
             let (left, top) = (frame.left + column as f64 * width, frame.top + row as f64 * height);
-            Frame { left, top, width, height }
+            PixelRect { left, top, width, height }
         })
     })
 }
 
 /// All cells of one look.
-pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = Frame>) -> Markup {
+pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> Markup {
     let (mut outline, mut strokes, mut marks) = (String::new(), String::new(), Vec::new());
-    for Frame { left, top, width, height } in frames {
+    for PixelRect { left, top, width, height } in frames {
         let (x, y) = (left + width / 2.0, top + height / 2.0);
         // Writing to a string cannot fail.
         let _ = write!(outline, "M{left:.1} {top:.1}h{width:.1}v{height:.1}h{:.1}z", -width);
@@ -72,7 +72,7 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = Frame>) -> Marku
                 let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {:.1}", -h);
             }
             CellStyle::Lettered(letter) => {
-                marks.push(words((x, y + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, letter, SMALL_TEXT_SIZE, Ink::Text, false));
+                marks.push(draw_text((x, y + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, letter, SMALL_TEXT_SIZE, Ink::Text, false));
             }
         }
     }
@@ -96,26 +96,26 @@ pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
     let mut drawn = Vec::new();
     for entry in entries {
         let (LegendEntry::Cell(_, text) | LegendEntry::Line(_, text) | LegendEntry::Mark(_, text)) = *entry;
-        let wide = SWATCH_SIZE + 7.0 + text_width(text, TEXT);
+        let wide = SWATCH_SIZE + 7.0 + text_width(text, TEXT_SIZE);
         if x > 0.0 && x + wide > width {
             (x, row) = (0.0, row + 1.0);
         }
-        let y = KEY_ROW * (row + 0.5);
-        let sample = Frame::around((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
+        let y = LEGEND_ROW_HEIGHT * (row + 0.5);
+        let sample = PixelRect::from_center((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
         let after = x + SWATCH_SIZE + 7.0;
         drawn.push(html! {
             @match entry {
                 LegendEntry::Cell(look, _) => {
-                    (cells(*look, std::iter::once(sample)))
+                    (draw_cells(*look, std::iter::once(sample)))
                     rect x=(format!("{:.1}", sample.left)) y=(format!("{:.1}", sample.top)) width=(SWATCH_SIZE) height=(SWATCH_SIZE)
                         fill="none" stroke=(Ink::Axis.hex()) stroke-width="0.8" {}
                 }
-                LegendEntry::Mark(marker, _) => (mark((sample.left + SWATCH_SIZE / 2.0, y), *marker, Ink::Text))
-                LegendEntry::Line(stroke, _) => (straight((sample.left, y), (sample.right(), y), *stroke))
+                LegendEntry::Mark(marker, _) => (draw_marker((sample.left + SWATCH_SIZE / 2.0, y), *marker, Ink::Text))
+                LegendEntry::Line(stroke, _) => (draw_line((sample.left, y), (sample.right(), y), *stroke))
             }
-            (words((after, y + TEXT * 0.35), Anchor::Start, text, TEXT, Ink::Text, false))
+            (draw_text((after, y + TEXT_SIZE * 0.35), Anchor::Start, text, TEXT_SIZE, Ink::Text, false))
         });
         x += wide + 16.0;
     }
-    (html! { @for entry in drawn { (entry) } }, KEY_ROW * (row + 1.0))
+    (html! { @for entry in drawn { (entry) } }, LEGEND_ROW_HEIGHT * (row + 1.0))
 }

@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 
 use super::axis::Axis;
-use super::label::Frame;
-use super::motion::body;
-use super::panel::{Anchor, Marker, Panel, TaggedLine, straight};
+use super::label::PixelRect;
+use super::motion::add_vehicle_band;
+use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line};
 use super::path::Px;
 use super::scale::extent;
 use super::theme::{Ink, Stroke};
@@ -35,8 +35,8 @@ const MAX_HIDDEN_SHARE: f64 = 0.03;
 /// Adds the inset in the corner where it hides least; none where it would hide much.
 pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str) {
     let (Some(front), Some(rear)) = (trace.vehicles.get(focus.front), trace.vehicles.get(focus.rear)) else { return };
-    let (time, space) = window(trace, focus, front, rear);
-    let Some(frame) = corner(host, trace) else { return };
+    let (time, space) = zoom_ranges(trace, focus, front, rear);
+    let Some(frame) = place_inset(host, trace) else { return };
 
     let mut inset = Panel::new(frame, "", Axis::hidden(time), Axis::hidden(space));
     let from = trace.time_s.partition_point(|time_s| *time_s < time.0).saturating_sub(1);
@@ -49,44 +49,44 @@ pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str
             continue;
         }
         let times = trace.time_s.get(from..to).unwrap_or_default();
-        body(&mut inset, times, &part, index);
+        add_vehicle_band(&mut inset, times, &part, index);
         let middle = times.iter().zip(&part.position_m).map(|(t, x)| (*t, x - part.length_m / 2.0));
         tags.push(TaggedLine { points: middle.collect(), tag: index.to_string(), ink: Ink::Series(index) });
     }
-    let touch = (focus.time_s, at(trace, rear, focus.time_s));
-    if focus.contact {
-        inset.marks(&[touch], Marker::Burst, Ink::Alert);
+    let touch = (focus.time_s, position_at(trace, rear, focus.time_s));
+    if focus.is_contact {
+        inset.add_markers(&[touch], Marker::Burst, Ink::Alert);
     } else {
         let (ahead_m, middle_m) = (touch.1 + focus.gap_m, touch.1 + focus.gap_m / 2.0);
-        inset.segment(touch, (focus.time_s, ahead_m), Stroke::solid(Ink::Text, 1.5));
+        inset.add_segment(touch, (focus.time_s, ahead_m), Stroke::solid(Ink::Text, 1.5));
         let beside_s = focus.time_s - 0.03 * (time.1 - time.0);
-        inset.note((beside_s, middle_m), Anchor::End, &format!("{:.2} m", focus.gap_m), Ink::Text);
+        inset.add_note((beside_s, middle_m), Anchor::End, &format!("{:.2} m", focus.gap_m), Ink::Text);
     }
-    inset.tags(&tags);
+    inset.add_tags(&tags);
 
-    let (left, top) = host.place((time.0, space.1));
-    let (right, bottom) = host.place((time.1, space.0));
-    let source = Frame { left, top, width: right - left, height: bottom - top };
-    host.overlay(html! {
-        (rays(source, frame))
-        (outline(source, "none"))
-        (outline(frame, Ink::Paper.hex()))
+    let (left, top) = host.to_pixels((time.0, space.1));
+    let (right, bottom) = host.to_pixels((time.1, space.0));
+    let source = PixelRect { left, top, width: right - left, height: bottom - top };
+    host.add_overlay(html! {
+        (draw_connectors(source, frame))
+        (draw_outline(source, "none"))
+        (draw_outline(frame, Ink::Paper.hex()))
         (inset.draw(id))
     });
 }
 
 /// Two lines from corners of what is enlarged to corners of the enlargement, which do not cross it.
-fn draw_connectors(source: Frame, frame: Frame) -> Markup {
+fn draw_connectors(source: PixelRect, frame: PixelRect) -> Markup {
     let below = source.top < frame.top;
     let (near, far) = if below { (source.bottom(), frame.top) } else { (source.top, frame.bottom()) };
     let stroke = Stroke::solid(Ink::Muted, 0.6);
     html! {
-        (straight((source.left, near), (frame.left, far), stroke))
-        (straight((source.right(), near), (frame.right(), far), stroke))
+        (draw_line((source.left, near), (frame.left, far), stroke))
+        (draw_line((source.right(), near), (frame.right(), far), stroke))
     }
 }
 
-fn draw_outline(Frame { left, top, width, height }: Frame, fill: &str) -> Markup {
+fn draw_outline(PixelRect { left, top, width, height }: PixelRect, fill: &str) -> Markup {
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) fill=(fill) stroke=(Ink::Muted.hex())
             stroke-width="0.8" {}
@@ -101,32 +101,32 @@ fn zoom_ranges(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f
     let seconds = (1.2 * metres / speed_mps.max(1.0)).clamp(0.4, 4.0);
     let (first, last) = extent(trace.time_s.iter().copied());
     let from = (focus.time_s - 0.65 * seconds).min(last + 0.07 * seconds - seconds).max(first);
-    let touch_m = at(trace, rear, focus.time_s);
+    let touch_m = position_at(trace, rear, focus.time_s);
     let middle_m = touch_m + focus.gap_m / 2.0 + (front.length_m.min(8.0) - rear.length_m.min(12.0)) / 2.0;
     ((from, from + seconds), (middle_m - metres / 2.0, middle_m + metres / 2.0))
 }
 
 /// A place in the lower right or the upper left corner of the host, as large as the trajectories leave free.
-fn place_inset(host: &Panel, trace: &Trace) -> Option<Frame> {
+fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
     let around = host.frame();
     let corners = |(wide, high): (f64, f64)| {
         let (width, height) = (wide * around.width, high * around.height);
         let (left, top) = (around.right() - width - MARGIN, around.bottom() - height - MARGIN);
-        let upper_left = Frame { left: around.left + MARGIN, top: around.top + MARGIN, width, height };
-        [Frame { left, top, width, height }, upper_left]
+        let upper_left = PixelRect { left: around.left + MARGIN, top: around.top + MARGIN, width, height };
+        [PixelRect { left, top, width, height }, upper_left]
     };
     let every = (trace.len() / 64).max(1);
     let samples = trace.vehicles.iter().flat_map(|track| {
         let ends = trace.time_s.iter().zip(&track.position_m).step_by(every);
-        ends.flat_map(|(t, x)| [host.place((*t, *x)), host.place((*t, x - track.length_m))])
+        ends.flat_map(|(t, x)| [host.to_pixels((*t, *x)), host.to_pixels((*t, x - track.length_m))])
     });
     let samples: Vec<_> = samples.collect();
-    let hidden = |frame: &Frame| {
+    let hidden = |frame: &PixelRect| {
         let (width, height) = (frame.width + MARGIN, frame.height + MARGIN);
-        let wider = Frame::around((frame.left + frame.width / 2.0, frame.top + frame.height / 2.0), width, height);
-        samples.iter().filter(|place| wider.holds(**place)).count()
+        let wider = PixelRect::from_center((frame.left + frame.width / 2.0, frame.top + frame.height / 2.0), width, height);
+        samples.iter().filter(|place| wider.contains(**place)).count()
     };
-    let best = SHARES.into_iter().flat_map(corners).min_by_key(hidden)?;
+    let best = INSET_SIZES.into_iter().flat_map(corners).min_by_key(hidden)?;
     (hidden(&best) as f64 <= MAX_HIDDEN_SHARE * samples.len() as f64).then_some(best)
 }
 

@@ -1,6 +1,6 @@
 //! Where words go: how wide they are, and places for labels that cover neither each other nor, where possible, data.
 
-use super::path::Place;
+use super::path::PixelPoint;
 
 /// A rectangle in the figure, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,7 +18,7 @@ pub struct PixelRect {
 impl PixelRect {
     /// The rectangle of that size around a centre.
     #[must_use]
-    pub fn from_center((x, y): Place, width: f64, height: f64) -> Self {
+    pub fn from_center((x, y): PixelPoint, width: f64, height: f64) -> Self {
         Self { left: x - width / 2.0, top: y - height / 2.0, width, height }
     }
 
@@ -51,7 +51,7 @@ impl PixelRect {
 
     /// Whether a place lies inside.
     #[must_use]
-    pub fn contains(&self, (x, y): Place) -> bool {
+    pub fn contains(&self, (x, y): PixelPoint) -> bool {
         (self.left..=self.right()).contains(&x) && (self.top..=self.bottom()).contains(&y)
     }
 }
@@ -160,19 +160,19 @@ const MAX_CLEARANCE_PX: f64 = 22.0;
 /// `lines` run from left to right; `sizes` are widths and heights of the labels; labels stay inside `frame` and off
 /// `taken`, to which they are added.
 pub(crate) fn place_line_labels(
-    lines: &[Vec<Place>],
+    lines: &[Vec<PixelPoint>],
     sizes: &[(f64, f64)],
     frame: PixelRect,
     taken: &mut Vec<PixelRect>,
-) -> Vec<Option<Place>> {
+) -> Vec<Option<PixelPoint>> {
     let mut centres = Vec::with_capacity(lines.len());
     for (index, (line, &(width, height))) in lines.iter().zip(sizes).enumerate() {
         let (from, to) = (line.first().map_or(0.0, |p| p.0), line.last().map_or(0.0, |p| p.0));
-        let mut best: Option<(f64, Place)> = None;
+        let mut best: Option<(f64, PixelPoint)> = None;
         for step in 0..=CANDIDATES {
             let x = from + (to - from) * step as f64 / CANDIDATES as f64;
             let Some(y) = interpolate_y(line, x) else { continue };
-            let label = PixelRect::around((x, y), width, height);
+            let label = PixelRect::from_center((x, y), width, height);
             if !frame.encloses(&label) || taken.iter().any(|other| other.overlaps(&label)) {
                 continue;
             }
@@ -186,14 +186,14 @@ pub(crate) fn place_line_labels(
                 best = Some((clearance, (x, y)));
             }
         }
-        taken.extend(best.map(|(_, centre)| PixelRect::around(centre, width + 2.0, height + 2.0)));
+        taken.extend(best.map(|(_, centre)| PixelRect::from_center(centre, width + 2.0, height + 2.0)));
         centres.push(best.map(|(_, centre)| centre));
     }
     centres
 }
 
 /// Height of a line that runs from left to right at `x`; none outside it.
-fn interpolate_y(line: &[Place], x: f64) -> Option<f64> {
+fn interpolate_y(line: &[PixelPoint], x: f64) -> Option<f64> {
     let after = line.partition_point(|point| point.0 < x);
     let &(x1, y1) = line.get(after)?;
     let Some(&(x0, y0)) = after.checked_sub(1).and_then(|before| line.get(before)) else {

@@ -27,26 +27,26 @@ mod theme;
 
 use maud::{Markup, PreEscaped, html};
 
-pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, animation};
+pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, draw_animation};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
-pub(crate) use cells::grid_frames;
-pub use cells::{CellStyle, LegendEntry, cells, key};
-pub use label::{Frame, text_width};
-pub use motion::{Layout, MotionFigure, motion, motion_on, motion_responsive};
-pub(crate) use motion::{motion_beside, motion_plate};
+pub(crate) use cells::grid_rects;
+pub use cells::{CellStyle, LegendEntry, draw_cells, draw_legend};
+pub use label::{PixelRect, text_width};
+pub use motion::{PanelArrangement, MotionFigure, draw_motion, draw_motion_on_axes, draw_motion_responsive};
+pub(crate) use motion::{draw_motions_side_by_side, draw_motion_columns};
 pub use motion_axes::MotionAxes;
 pub use vehicle_names::vehicle_names;
 pub(crate) use panel::TaggedLine;
-pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, mark, words};
-pub(crate) use path::Place;
+pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
+pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;
 pub(crate) use scale::Ticks;
-pub use scale::{extent, padded, signed};
+pub use scale::{extent, pad_interval, format_number};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 
-use crumple_core::quoted::Lines;
-pub(crate) use label::printable;
+use crumple_core::quoting::TerminalLines;
+pub(crate) use label::strip_unprintable;
 use path::Px;
 
 /// Pixels of a PNG to one unit of the figure: sharp on a dense screen, and a wide figure has 300 dots an inch at 16 cm.
@@ -71,13 +71,13 @@ impl Svg {
     /// which must differ between the figures of a page; see [`Svg::id`].
     #[must_use]
     pub fn new(prefix: &str, (width, height): (f64, f64), title: &str, description: &str, content: Markup) -> Self {
-        let prefix = identifier(prefix);
+        let prefix = sanitize_id(prefix);
         Self {
             width,
             height,
             prefix,
-            title: printable(title),
-            description: printable(description),
+            title: strip_unprintable(title),
+            description: strip_unprintable(description),
             content,
             role: "img",
         }
@@ -92,7 +92,7 @@ impl Svg {
     /// The identifier `name` of the figure with that prefix, as [`Panel::draw`] wants it.
     #[must_use]
     pub fn id(prefix: &str, name: &str) -> String {
-        format!("{}-{}", identifier(prefix), identifier(name))
+        format!("{}-{}", sanitize_id(prefix), sanitize_id(name))
     }
 
     /// Width and height at full size, in pixels.
@@ -111,7 +111,7 @@ impl Svg {
     #[must_use]
     pub fn document(&self) -> String {
         let element = self.element(true).into_string();
-        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", Lines(&element))
+        format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", TerminalLines(&element))
     }
 
     /// The figure as a PNG file on a white ground, `scale` pixels to a unit, usually [`PNG_SCALE`].
@@ -129,7 +129,7 @@ impl Svg {
         let (title, description) = (format!("{}-title", self.prefix), format!("{}-desc", self.prefix));
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class="draw" width=(width) height=(height)
-                viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONTS) role=(self.role)
+                viewBox={ "0 0 " (width) " " (height) } font-family=(theme::FONT_FAMILY) role=(self.role)
                 aria-labelledby={ (title) " " (description) } {
                 title id=(title) { (self.title) }
                 desc id=(description) { (self.description) }

@@ -5,12 +5,12 @@ use maud::{Markup, html};
 
 use super::axis::LEFT_MARGIN;
 use super::closeup::{self, Focus};
-use super::label::{Frame, spread, text_width};
+use super::label::{PixelRect, spread_evenly, text_width};
 use super::motion_axes::MotionAxes;
-use super::panel::{Anchor, Marker, Panel, TaggedLine, straight, tag, tag_width, words};
-use super::figure_layout::{LABEL_STEP, Plan, name_of};
+use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, tag_width, draw_text};
+use super::figure_layout::{LABEL_STEP, FigureLayout, vehicle_name};
 use super::scale::extent;
-use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
 use crumple_world::sim::{Contact, Impact, Trace, Track};
 
@@ -47,19 +47,19 @@ const MAX_TAGGED_VEHICLES: usize = 60;
 /// Draws the three diagrams of one run.
 #[must_use]
 pub fn draw_motion(figure: &MotionFigure<'_>, layout: PanelArrangement) -> Svg {
-    motion_on(figure, &MotionAxes::of(figure.trace), layout)
+    draw_motion_on_axes(figure, &MotionAxes::from_trace(figure.trace), layout)
 }
 
 /// Draws the three diagrams of one run on given axes, so that it can be compared with others.
 #[must_use]
 pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout: PanelArrangement) -> Svg {
-    let plan = Plan::new(figure, layout);
+    let plan = FigureLayout::new(figure, layout);
     let id = |name: &str| Svg::id(figure.prefix, name);
     let content = html! {
         (plan.draw_title_and_legend(figure))
-        (space(figure, &plan, axes, &id("closeup")).draw(&id("space")))
-        (speed(figure, plan.speed, axes).draw(&id("speed")))
-        (spacing(figure, plan.spacing, axes).draw(&id("spacing")))
+        (position_panel(figure, &plan, axes, &id("closeup")).draw(&id("space")))
+        (speed_panel(figure, plan.speed, axes).draw(&id("speed")))
+        (gap_panel(figure, plan.gap, axes).draw(&id("spacing")))
     };
     Svg::new(figure.prefix, (plan.width, plan.height), figure.title, &description(figure), content)
 }
@@ -69,8 +69,8 @@ pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout:
 pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
     let (wide, narrow) = (format!("{}-wide", figure.prefix), format!("{}-narrow", figure.prefix));
     html! {
-        div.draw-wide { (motion(&MotionFigure { prefix: &wide, ..*figure }, PanelArrangement::Wide)) }
-        div.draw-narrow { (motion(&MotionFigure { prefix: &narrow, ..*figure }, PanelArrangement::Stacked)) }
+        div.draw-wide { (draw_motion(&MotionFigure { prefix: &wide, ..*figure }, PanelArrangement::Wide)) }
+        div.draw-narrow { (draw_motion(&MotionFigure { prefix: &narrow, ..*figure }, PanelArrangement::Stacked)) }
     }
 }
 
@@ -78,10 +78,10 @@ pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
 /// one below the other where there is not.
 #[must_use]
 pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup {
-    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
+    let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
     let drawn = |figure: &MotionFigure<'_>, name: &str, layout| {
         let prefix = format!("{}-{name}", figure.prefix);
-        motion_on(&MotionFigure { prefix: &prefix, ..*figure }, &axes, layout)
+        draw_motion_on_axes(&MotionFigure { prefix: &prefix, ..*figure }, &axes, layout)
     };
     html! {
         div.draw-wide { div.draw-beside {
@@ -94,8 +94,8 @@ pub(crate) fn draw_motions_side_by_side(figures: &[MotionFigure<'_>]) -> Markup 
 /// Several runs on the same axes as one figure, in columns: a file for itself.
 #[must_use]
 pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFigure<'_>]) -> Svg {
-    let axes = MotionAxes::of_all(figures.iter().map(|figure| figure.trace));
-    let drawn: Vec<Svg> = figures.iter().map(|figure| motion_on(figure, &axes, PanelArrangement::Column)).collect();
+    let axes = MotionAxes::from_traces(figures.iter().map(|figure| figure.trace));
+    let drawn: Vec<Svg> = figures.iter().map(|figure| draw_motion_on_axes(figure, &axes, PanelArrangement::Column)).collect();
     let lefts = drawn.iter().scan(0.0, |left, svg| Some(std::mem::replace(left, *left + svg.size().0 + COLUMN_GAP)));
     let content = html! {
         @for (svg, left) in drawn.iter().zip(lefts) { g transform={ "translate(" (Px(left)) " 0)" } { (svg) } }
@@ -108,21 +108,21 @@ pub(crate) fn draw_motion_columns(prefix: &str, title: &str, figures: &[MotionFi
 /// Between the columns of a plate, in pixels.
 const COLUMN_GAP: f64 = 20.0;
 
-fn position_panel(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, closeup_id: &str) -> Panel {
+fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionAxes, closeup_id: &str) -> Panel {
     let MotionFigure { trace, .. } = figure;
-    let mut panel = Panel::new(plan.space, "Position of the vehicles (m)", axes.time(), axes.position());
+    let mut panel = Panel::new(plan.position, "Position of the vehicles (m)", axes.time(), axes.position());
     for (index, track) in trace.vehicles.iter().enumerate() {
-        body(&mut panel, &trace.time_s, track, index);
+        add_vehicle_band(&mut panel, &trace.time_s, track, index);
     }
     mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
         let place = impact_position_m(trace, contact);
-        (format!("contact {} at {:.2} s, {:.1} m/s", pair(contact), contact.time_s, contact.impact_speed_mps), place)
+        (format!("contact {} at {:.2} s, {:.1} m/s", format_pair(contact), contact.time_s, contact.impact_speed_mps), place)
     });
-    if let Some(focus) = focus(figure) {
-        if !focus.contact {
-            strip(&mut panel, focus.time_s, "no contact", Ink::Muted, plan.labels_right);
+    if let Some(focus) = find_focus(figure) {
+        if !focus.is_contact {
+            add_caption(&mut panel, focus.time_s, "no contact", Ink::Muted, plan.labels_right);
         }
-        closeup::add(&mut panel, trace, &focus, closeup_id);
+        closeup::add_inset(&mut panel, trace, &focus, closeup_id);
     }
     add_end_labels(&mut panel, figure, plan);
     panel
@@ -130,70 +130,70 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &Plan, axes: &MotionAxes, clo
 
 /// A vehicle as the band between its bumpers: the front edge in the vehicle's stroke, the rear edge thin.
 pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track, index: usize) {
-    let front = points(time_s, track.position_m.iter().copied());
-    let rear = points(time_s, track.position_m.iter().map(|front| front - track.length_m));
+    let front = to_points(time_s, track.position_m.iter().copied());
+    let rear = to_points(time_s, track.position_m.iter().map(|front| front - track.length_m));
     if track.in_lane_s != Track::THROUGHOUT_S {
         // Beside the lane, a trace of where it drives.
-        panel.line(&front, Stroke { dash: "2 3", ..Stroke::solid(Ink::Series(index), 0.8) });
+        panel.add_line(&front, Stroke { dash: "2 3", ..Stroke::solid(Ink::Series(index), 0.8) });
     }
     let first = time_s.iter().position(|&time_s| track.is_in_lane(time_s)).unwrap_or(time_s.len());
     let end = time_s.iter().rposition(|&time_s| track.is_in_lane(time_s)).map_or(first, |last| last + 1);
-    let in_lane = |line: &[path::Place]| line.get(first..end).unwrap_or_default().to_vec();
+    let in_lane = |line: &[path::PixelPoint]| line.get(first..end).unwrap_or_default().to_vec();
     let (front, rear) = (in_lane(&front), in_lane(&rear));
-    panel.band(&front, &rear, Ink::Series(index));
-    panel.line(&rear, Stroke::solid(Ink::Series(index), 0.7));
-    panel.line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
+    panel.add_band(&front, &rear, Ink::Series(index));
+    panel.add_line(&rear, Stroke::solid(Ink::Series(index), 0.7));
+    panel.add_line(&front, Stroke { width: 1.5, ..Stroke::series(index) });
 }
 
 /// Numbers, and where there is room names, to the right of where each vehicle ends up.
-fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &Plan) {
+fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLayout) {
     let frame = panel.frame();
     let end = |track: &Track| {
         let last = (figure.trace.time_s.last()?, track.position_m.last()?);
-        Some(panel.place((*last.0, last.1 - track.length_m / 2.0)))
+        Some(panel.to_pixels((*last.0, last.1 - track.length_m / 2.0)))
     };
     let ends: Vec<_> = figure.trace.vehicles.iter().map(|track| end(track).unwrap_or_default()).collect();
     let wanted: Vec<f64> = ends.iter().map(|(_, y)| *y).collect();
-    let heights = spread(&wanted, LABEL_STEP, (frame.top + 7.0, frame.bottom() - 7.0));
+    let heights = spread_evenly(&wanted, LABEL_STEP, (frame.top + 7.0, frame.bottom() - 7.0));
     for (index, (&from, y)) in ends.iter().zip(heights).enumerate() {
         let (ink, number) = (Ink::Series(index), index.to_string());
         let left = frame.right() + 8.0;
         let name_left = left + plan.widest_tag + 4.0;
-        panel.overlay(html! {
-            (straight(from, (left, y), Stroke::solid(ink, 0.8)))
-            (tag((left + tag_width(&number) / 2.0, y), &number, ink))
-            @if plan.layout == PanelArrangement::Wide {
-                (words((name_left, y + TEXT * 0.35), Anchor::Start, &name_of(figure, index), TEXT, Ink::Text, false))
+        panel.add_overlay(html! {
+            (draw_line(from, (left, y), Stroke::solid(ink, 0.8)))
+            (draw_tag((left + tag_width(&number) / 2.0, y), &number, ink))
+            @if plan.arrangement == PanelArrangement::Wide {
+                (draw_text((name_left, y + TEXT_SIZE * 0.35), Anchor::Start, &vehicle_name(figure, index), TEXT_SIZE, Ink::Text, false))
             }
         });
     }
 }
 
-fn speed_panel(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let mut panel = Panel::new(frame, "Speed (m/s)", axes.time(), axes.speed());
     let mut tags = Vec::new();
     for (index, track) in trace.vehicles.iter().enumerate() {
-        let line = points(&trace.time_s, track.speed_mps.iter().copied());
-        panel.line(&line, Stroke::series(index));
+        let line = to_points(&trace.time_s, track.speed_mps.iter().copied());
+        panel.add_line(&line, Stroke::series(index));
         tags.push(TaggedLine { points: line, tag: index.to_string(), ink: Ink::Series(index) });
     }
     let width = if figure.impacts.len() > 4 { 1.2 } else { 2.4 };
     for Impact { contact, .. } in figure.impacts {
         let at = |speed_mps| (contact.time_s, speed_mps);
-        panel.segment(at(contact.front_speed_mps), at(contact.rear_speed_mps), Stroke::solid(Ink::Alert, width));
+        panel.add_segment(at(contact.front_speed_mps), at(contact.rear_speed_mps), Stroke::solid(Ink::Alert, width));
     }
     mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
         let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
-        (format!("contact {}: {rear:.1} into {front:.1} m/s", pair(contact)), (rear + front) / 2.0)
+        (format!("contact {}: {rear:.1} into {front:.1} m/s", format_pair(contact)), (rear + front) / 2.0)
     });
     if tags.len() <= MAX_TAGGED_VEHICLES {
-        panel.tags(&tags);
+        panel.add_tags(&tags);
     }
     panel
 }
 
-fn gap_panel(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Panel {
+fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let at = |(sample, gap_m): (usize, f64)| Some((*trace.time_s.get(sample)?, gap_m));
     let pairs = (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)));
@@ -201,22 +201,22 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: Frame, axes: &MotionAxes) -> Pane
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
     for (rear, pair) in pairs {
-        let line: Vec<path::Place> = pair.gaps_m().filter_map(at).collect();
-        panel.line(&line, Stroke::series(rear));
+        let line: Vec<path::PixelPoint> = pair.gaps_m().filter_map(at).collect();
+        panel.add_line(&line, Stroke::series(rear));
         let tag = format!("{}\u{2013}{rear}", pair.front_vehicle);
         tags.push(TaggedLine { points: line, tag, ink: Ink::Series(rear) });
     }
     let right = frame.right() + 12.0;
     mark_contacts(&mut panel, figure, right, |contact| {
-        (format!("contact {} at {:.2} s", pair(contact), contact.time_s), 0.0)
+        (format!("contact {} at {:.2} s", format_pair(contact), contact.time_s), 0.0)
     });
-    if let Some(Focus { time_s, front, rear, gap_m, contact: false }) = focus(figure) {
-        panel.marks(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
+    if let Some(Focus { time_s, front, rear, gap_m, is_contact: false }) = find_focus(figure) {
+        panel.add_markers(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
         let text = format!("smallest gap {gap_m:.2} m ({front}\u{2013}{rear}) at {time_s:.2} s");
-        strip(&mut panel, time_s, &text, Ink::Muted, right);
+        add_caption(&mut panel, time_s, &text, Ink::Muted, right);
     }
     if tags.len() <= MAX_TAGGED_VEHICLES {
-        panel.tags(&tags);
+        panel.add_tags(&tags);
     }
     panel
 }
@@ -234,9 +234,9 @@ fn mark_contacts(
             panel.add_vertical_line(contact.time_s, Stroke { dash: "3 3", ..Stroke::solid(Ink::Alert, 1.0) });
             let more = figure.impacts.len() - 1;
             let text = if more == 0 { text } else { format!("{text}; {more} more") };
-            strip(panel, contact.time_s, &text, Ink::Alert, right);
+            add_caption(panel, contact.time_s, &text, Ink::Alert, right);
         }
-        panel.marks(&[(contact.time_s, height)], Marker::Burst, Ink::Alert);
+        panel.add_markers(&[(contact.time_s, height)], Marker::Burst, Ink::Alert);
     }
 }
 
@@ -244,16 +244,16 @@ fn mark_contacts(
 fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
     let frame = panel.frame();
     let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
-    let (x, _) = panel.place((time_s, 0.0));
+    let (x, _) = panel.to_pixels((time_s, 0.0));
     let centre = x.min(right - half).max(frame.left - LEFT_MARGIN + 2.0 + half);
-    panel.overlay(words((centre, frame.top - 7.0), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false));
+    panel.add_overlay(draw_text((centre, frame.top - 7.0), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false));
 }
 
 /// Where to look: the first contact, or else the smallest gap.
 fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
     if let Some(Impact { contact, .. }) = figure.impacts.first() {
         let &Contact { time_s, front_vehicle: front, rear_vehicle: rear, .. } = contact;
-        return Some(Focus { time_s, front, rear, gap_m: 0.0, contact: true });
+        return Some(Focus { time_s, front, rear, gap_m: 0.0, is_contact: true });
     }
     let mut closest: Option<Focus> = None;
     for rear in 1..figure.trace.vehicles.len() {
@@ -261,7 +261,7 @@ fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
             for (sample, gap_m) in pair.gaps_m() {
                 let Some(&time_s) = pair.time_s.get(sample) else { continue };
                 if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
-                    closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, contact: false });
+                    closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, is_contact: false });
                 }
             }
         }
@@ -279,7 +279,7 @@ fn impact_position_m(trace: &Trace, contact: &Contact) -> f64 {
 }
 
 /// Samples as points.
-fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::Place> {
+fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::PixelPoint> {
     time_s.iter().copied().zip(values).collect()
 }
 
@@ -295,7 +295,7 @@ fn description(figure: &MotionFigure<'_>) -> String {
         figure.trace.vehicles.len(),
         last - first
     );
-    let end = match (figure.impacts.first(), focus(figure)) {
+    let end = match (figure.impacts.first(), find_focus(figure)) {
         (Some(Impact { contact, .. }), _) => format!(
             "First contact: vehicle {} hits vehicle {} at {:.2} s, {:.1} into {:.1} m/s. Impacts: {}.",
             contact.rear_vehicle,

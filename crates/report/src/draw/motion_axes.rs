@@ -1,7 +1,7 @@
 //! The axes of the three diagrams: those of one run, or of several that are compared.
 
 use super::axis::Axis;
-use super::scale::{extent, padded};
+use super::scale::{extent, pad_interval};
 use crumple_world::sim::{Trace, Track};
 
 /// What the axes of time, position, speed and gap span.
@@ -17,7 +17,7 @@ impl MotionAxes {
     /// Axes that hold one run.
     #[must_use]
     pub fn from_trace(trace: &Trace) -> Self {
-        Self::of_all([trace])
+        Self::from_traces([trace])
     }
 
     /// Axes that hold all of these runs.
@@ -38,25 +38,25 @@ impl MotionAxes {
         Self {
             // A little after the last sample, so that a contact that ends the run is not cut in half.
             time_s: (first_s, last_s + 0.02 * (last_s - first_s)),
-            position_m: padded(extent(tracks().flat_map(ends)), 0.03),
-            speed_mps: padded((0.0, fastest_mps.max(1.0)), 0.04),
-            gap_m: padded((least_m.min(0.0), most_m.max(1.0)), 0.05),
+            position_m: pad_interval(extent(tracks().flat_map(ends)), 0.03),
+            speed_mps: pad_interval((0.0, fastest_mps.max(1.0)), 0.04),
+            gap_m: pad_interval((least_m.min(0.0), most_m.max(1.0)), 0.05),
         }
     }
 
     pub(super) fn time(&self) -> Axis {
-        Axis::numbers("Time (s)", self.time_s, 6)
+        Axis::numeric("Time (s)", self.time_s, 6)
     }
 
     pub(super) fn position(&self) -> Axis {
-        Axis::numbers("", self.position_m, 7)
+        Axis::numeric("", self.position_m, 7)
     }
 
     pub(super) fn speed(&self) -> Axis {
-        Axis::numbers("", self.speed_mps, 6)
+        Axis::numeric("", self.speed_mps, 6)
     }
 
     pub(super) fn gap(&self) -> Axis {
-        Axis::numbers("", self.gap_m, 6)
+        Axis::numeric("", self.gap_m, 6)
     }
 }

@@ -3,10 +3,10 @@
 use maud::{Markup, html};
 
 use super::axis::{Axis, LEFT_MARGIN};
-use super::label::{Frame, on_lines, printable, text_width};
-use super::path::{self, Place, Px};
-use super::scale::Scale;
-use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT};
+use super::label::{PixelRect, place_line_labels, strip_unprintable, text_width};
+use super::path::{self, PixelPoint, Px};
+use super::scale::LinearScale;
+use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 
 /// Height of a tag, in pixels.
 const TAG_HEIGHT: f64 = 14.0;
@@ -54,55 +54,55 @@ pub(crate) struct TaggedLine {
 /// Lines, bands and bars are cut off at the frame; marks, tags and words are not.
 #[derive(Debug, Clone)]
 pub struct Panel {
-    frame: Frame,
+    frame: PixelRect,
     title: String,
     x: Axis,
     y: Axis,
-    x_scale: Scale,
-    y_scale: Scale,
+    x_scale: LinearScale,
+    y_scale: LinearScale,
     clipped: Vec<Markup>,
     overlays: Vec<Markup>,
-    occupied: Vec<Frame>,
+    occupied: Vec<PixelRect>,
 }
 
 impl Panel {
     /// An empty chart whose data area is `frame`; ticks and titles lie outside it, see [`Axis`].
     #[must_use]
-    pub fn new(frame: Frame, title: &str, x: Axis, y: Axis) -> Self {
-        let x_scale = Scale::new(x.domain(), (frame.left, frame.right()));
-        let y_scale = Scale::new(y.domain(), (frame.bottom(), frame.top));
+    pub fn new(frame: PixelRect, title: &str, x: Axis, y: Axis) -> Self {
+        let x_scale = LinearScale::new(x.domain(), (frame.left, frame.right()));
+        let y_scale = LinearScale::new(y.domain(), (frame.bottom(), frame.top));
         let title = title.to_owned();
-        Self { frame, title, x, y, x_scale, y_scale, inside: Vec::new(), above: Vec::new(), taken: Vec::new() }
+        Self { frame, title, x, y, x_scale, y_scale, clipped: Vec::new(), overlays: Vec::new(), occupied: Vec::new() }
     }
 
     /// The data area, in pixels.
     #[must_use]
-    pub(crate) fn frame(&self) -> Frame {
+    pub(crate) fn frame(&self) -> PixelRect {
         self.frame
     }
 
     /// Where a pair of values is drawn, in pixels.
     #[must_use]
-    pub fn to_pixels(&self, (x, y): (f64, f64)) -> Place {
-        (self.x_scale.px(x), self.y_scale.px(y))
+    pub fn to_pixels(&self, (x, y): (f64, f64)) -> PixelPoint {
+        (self.x_scale.to_px(x), self.y_scale.to_px(y))
     }
 
     /// Where each of many pairs is drawn, in pixels; pairs that are not finite are left out.
     #[must_use]
-    pub(crate) fn points_to_pixels(&self, points: &[(f64, f64)]) -> Vec<Place> {
-        points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.place(point)).collect()
+    pub(crate) fn points_to_pixels(&self, points: &[(f64, f64)]) -> Vec<PixelPoint> {
+        points.iter().filter(|(x, y)| x.is_finite() && y.is_finite()).map(|&point| self.to_pixels(point)).collect()
     }
 
     /// Adds a line through points; a lone point is a dot.
     pub fn add_line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
-        let places = self.places(points);
+        let places = self.points_to_pixels(points);
         let Some((&(x, y), rest)) = places.split_first() else { return };
         let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
-        self.inside.push(if rest.iter().all(|&other| other == (x, y)) {
+        self.clipped.push(if rest.iter().all(|&other| other == (x, y)) {
             html! { circle cx=(Px(x)) cy=(Px(y)) r=(Px(stroke.width)) fill=(stroke.ink.hex()) {} }
         } else {
             html! {
-                path d=(path::open(&places)) fill="none" stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
+                path d=(path::polyline_data(&places)) fill="none" stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
                     stroke-dasharray=[dash] stroke-linejoin="round" {}
             }
         });
@@ -110,80 +110,80 @@ impl Panel {
 
     /// Adds a translucent area between two lines, such as a mean plus and minus a standard deviation.
     pub(crate) fn add_band(&mut self, upper: &[(f64, f64)], lower: &[(f64, f64)], ink: Ink) {
-        let outline = path::between(&self.places(upper), &self.places(lower));
-        self.inside.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
+        let outline = path::area_data(&self.points_to_pixels(upper), &self.points_to_pixels(lower));
+        self.clipped.push(html! { path d=(outline) fill=(ink.hex()) fill-opacity="0.22" {} });
     }
 
     /// Adds a straight line between two points, such as the whisker of an interval.
     pub(crate) fn add_segment(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke) {
-        let (from, to) = (self.place(from), self.place(to));
-        self.inside.push(straight(from, to, stroke));
+        let (from, to) = (self.to_pixels(from), self.to_pixels(to));
+        self.clipped.push(draw_line(from, to, stroke));
     }
 
     /// Adds a vertical line over the full height.
     pub(crate) fn add_vertical_line(&mut self, value: f64, stroke: Stroke) {
-        let (x, _) = self.place((value, 0.0));
-        self.inside.push(straight((x, self.frame.top), (x, self.frame.bottom()), stroke));
+        let (x, _) = self.to_pixels((value, 0.0));
+        self.clipped.push(draw_line((x, self.frame.top), (x, self.frame.bottom()), stroke));
     }
 
     /// Adds a horizontal line over the full width.
     pub fn add_horizontal_line(&mut self, value: f64, stroke: Stroke) {
-        let (_, y) = self.place((0.0, value));
-        self.inside.push(straight((self.frame.left, y), (self.frame.right(), y), stroke));
+        let (_, y) = self.to_pixels((0.0, value));
+        self.clipped.push(draw_line((self.frame.left, y), (self.frame.right(), y), stroke));
     }
 
     /// Adds marks; tags keep off them. Marks outside the frame are left out.
     pub fn add_markers(&mut self, points: &[(f64, f64)], marker: Marker, ink: Ink) {
-        for place in self.places(points) {
-            if self.frame.holds(place) {
-                self.taken.push(Frame::around(place, 10.0, 10.0));
-                self.above.push(mark(place, marker, ink));
+        for place in self.points_to_pixels(points) {
+            if self.frame.contains(place) {
+                self.occupied.push(PixelRect::from_center(place, 10.0, 10.0));
+                self.overlays.push(draw_marker(place, marker, ink));
             }
         }
     }
 
     /// Adds words at a pair of values, on a halo that lifts them off the data; tags keep off them.
     pub fn add_note(&mut self, at: (f64, f64), anchor: Anchor, text: &str, ink: Ink) {
-        let place = self.place(at);
+        let place = self.to_pixels(at);
         let width = text_width(text, SMALL_TEXT_SIZE);
         let middle = match anchor {
             Anchor::Start => place.0 + width / 2.0,
             Anchor::Middle => place.0,
             Anchor::End => place.0 - width / 2.0,
         };
-        self.taken.push(Frame::around((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
-        self.above.push(words((place.0, place.1 + SMALL_TEXT_SIZE * 0.35), anchor, text, SMALL_TEXT_SIZE, ink, true));
+        self.occupied.push(PixelRect::from_center((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
+        self.overlays.push(draw_text((place.0, place.1 + SMALL_TEXT_SIZE * 0.35), anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
 
     /// Adds something drawn in pixels to the data, cut off at the frame.
     pub(crate) fn add_clipped(&mut self, content: Markup) {
-        self.inside.push(content);
+        self.clipped.push(content);
     }
 
     /// Adds something drawn in pixels, above the data.
     pub fn add_overlay(&mut self, content: Markup) {
-        self.above.push(content);
+        self.overlays.push(content);
     }
 
     /// Adds a tag to each line, where the lines are far apart; a line that runs where there is no room gets none.
     ///
     /// Call this last: tags keep off what is there.
     pub(crate) fn add_tags(&mut self, lines: &[TaggedLine]) {
-        let places: Vec<_> = lines.iter().map(|line| path::simplified(&self.places(&line.points))).collect();
+        let places: Vec<_> = lines.iter().map(|line| path::simplify(&self.points_to_pixels(&line.points))).collect();
         let sizes: Vec<_> = lines.iter().map(|line| (tag_width(&line.tag), TAG_HEIGHT)).collect();
-        let centres = on_lines(&places, &sizes, self.frame, &mut self.taken);
+        let centres = place_line_labels(&places, &sizes, self.frame, &mut self.occupied);
         for (line, centre) in lines.iter().zip(centres) {
-            self.above.extend(centre.map(|centre| tag(centre, &line.tag, line.ink)));
+            self.overlays.extend(centre.map(|centre| draw_tag(centre, &line.tag, line.ink)));
         }
     }
 
     /// The chart as markup. `id` is unique in the page.
     #[must_use]
     pub fn draw(self, id: &str) -> Markup {
-        let Frame { left, top, width, height } = self.frame;
+        let PixelRect { left, top, width, height } = self.frame;
         html! {
             @if !self.title.is_empty() {
-                (heading((left, top), &self.title))
+                (draw_heading((left, top), &self.title))
             }
             (self.x.draw_horizontal(&self.x_scale, self.frame))
             (self.y.draw_vertical(&self.y_scale, self.frame))
@@ -191,9 +191,9 @@ impl Panel {
                 rect x=(Px(left)) y=(Px(top - 1.0)) width=(Px(width)) height=(Px(height + 2.0)) {}
             }
             g clip-path={ "url(#" (id) ")" } {
-                @for layer in &self.inside { (layer) }
+                @for layer in &self.clipped { (layer) }
             }
-            @for layer in &self.above { (layer) }
+            @for layer in &self.overlays { (layer) }
         }
     }
 }
@@ -202,17 +202,17 @@ impl Panel {
 pub const HEADING_HEIGHT: f64 = 40.0;
 
 /// A panel's title above its frame and its tick labels, with room for a line of notes between.
-fn draw_heading((left, top): Place, title: &str) -> Markup {
+fn draw_heading((left, top): PixelPoint, title: &str) -> Markup {
     html! {
-        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT)) font-weight="600" fill=(Ink::Text.hex()) {
-            (printable(title))
+        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE)) font-weight="600" fill=(Ink::Text.hex()) {
+            (strip_unprintable(title))
         }
     }
 }
 
 /// Words at a place on their base line, in pixels; with a halo they can be read over lines.
 #[must_use]
-pub fn draw_text((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
+pub fn draw_text((x, y): PixelPoint, anchor: Anchor, text: &str, size: f64, ink: Ink, halo: bool) -> Markup {
     let anchor = match anchor {
         Anchor::Start => None,
         Anchor::Middle => Some("middle"),
@@ -222,7 +222,7 @@ pub fn draw_text((x, y): Place, anchor: Anchor, text: &str, size: f64, ink: Ink,
         if halo { (Some(Ink::Paper.hex()), Some("3"), Some("stroke")) } else { (None, None, None) };
     html! {
         text x=(Px(x)) y=(Px(y)) text-anchor=[anchor] font-size=(Px(size)) fill=(ink.hex()) stroke=[stroke]
-            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")] paint-order=[order] { (printable(text)) }
+            stroke-width=[width] stroke-linejoin=[order.map(|_| "round")] paint-order=[order] { (strip_unprintable(text)) }
     }
 }
 
@@ -234,28 +234,28 @@ pub(crate) fn tag_width(text: &str) -> f64 {
 
 /// A short label in a rounded box around `centre`, in pixels.
 #[must_use]
-pub(crate) fn draw_tag(centre: Place, text: &str, ink: Ink) -> Markup {
-    let Frame { left, top, width, height } = Frame::around(centre, tag_width(text), TAG_HEIGHT);
+pub(crate) fn draw_tag(centre: PixelPoint, text: &str, ink: Ink) -> Markup {
+    let PixelRect { left, top, width, height } = PixelRect::from_center(centre, tag_width(text), TAG_HEIGHT);
     html! {
         rect x=(Px(left)) y=(Px(top)) width=(Px(width)) height=(Px(height)) rx=(Px(height / 2.0))
             fill=(Ink::Paper.hex()) stroke=(ink.hex()) stroke-width="1.2" {}
-        (words((centre.0, centre.1 + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false))
+        (draw_text((centre.0, centre.1 + SMALL_TEXT_SIZE * 0.35), Anchor::Middle, text, SMALL_TEXT_SIZE, ink, false))
     }
 }
 
 /// A straight line between two places, in pixels.
 #[must_use]
-pub(crate) fn draw_line(from: Place, to: Place, stroke: Stroke) -> Markup {
+pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Markup {
     let dash = (!stroke.dash.is_empty()).then_some(stroke.dash);
     html! {
-        path d=(path::open(&[from, to])) stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
+        path d=(path::polyline_data(&[from, to])) stroke=(stroke.ink.hex()) stroke-width=(Px(stroke.width))
             stroke-dasharray=[dash] {}
     }
 }
 
 /// A mark at a place, in pixels, with a thin halo.
 #[must_use]
-pub fn draw_marker((x, y): Place, marker: Marker, ink: Ink) -> Markup {
+pub fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
     let (paper, ink) = (Ink::Paper.hex(), ink.hex());
     match marker {
         Marker::Disc => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.2" fill=(ink) stroke=(paper) {} },
@@ -266,7 +266,7 @@ pub fn draw_marker((x, y): Place, marker: Marker, ink: Ink) -> Markup {
         Marker::Cross => html! {
             path d={ "M" (Px(x - 3.2)) " " (Px(y - 3.2)) "l6.4 6.4m0-6.4l-6.4 6.4" } stroke=(ink) stroke-width="1.6" {}
         },
-        Marker::Burst => html! { path d=(burst(x, y)) fill=(ink) stroke=(paper) stroke-width="1" {} },
+        Marker::Burst => html! { path d=(burst_path(x, y)) fill=(ink) stroke=(paper) stroke-width="1" {} },
     }
 }
 

@@ -33,14 +33,14 @@ impl maud::Render for Px {
 
 /// Path data of an open line through `points`, simplified.
 pub(super) fn polyline_data(points: &[PixelPoint]) -> String {
-    data(&simplified(points))
+    path_data(&simplify(points))
 }
 
 /// Path data of the area between two lines, simplified.
 pub(super) fn area_data(upper: &[PixelPoint], lower: &[PixelPoint]) -> String {
-    let mut outline = simplified(upper);
-    outline.extend(simplified(lower).into_iter().rev());
-    data(&outline) + "Z"
+    let mut outline = simplify(upper);
+    outline.extend(simplify(lower).into_iter().rev());
+    path_data(&outline) + "Z"
 }
 
 /// After `M`, pairs that follow the first are lines to them.
@@ -59,7 +59,7 @@ fn path_data(points: &[PixelPoint]) -> String {
 #[must_use]
 pub(crate) fn simplify(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let finite: Vec<PixelPoint> = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
-    straightened(&columns(&finite))
+    douglas_peucker(&decimate_columns(&finite))
 }
 
 /// First, lowest, highest and last point of each narrow column (Jugel et al., "M4", VLDB 2014): bounds the work for

@@ -33,7 +33,7 @@ pub enum DrawError {
 pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
     // The font has one weight: what asks for a heavier one gets an outline.
     let heavy = format!(r#"font-weight="600" stroke="{}" stroke-width="0.45""#, Ink::Text.hex());
-    let tree = usvg::Tree::from_str(&svg.replace(r#"font-weight="600""#, &heavy), &options())?;
+    let tree = usvg::Tree::from_str(&svg.replace(r#"font-weight="600""#, &heavy), &usvg_options())?;
     let (width, height) = (f64::from(tree.size().width()) * scale, f64::from(tree.size().height()) * scale);
     let wrong_size = DrawError::Size { width: width.round(), height: height.round() };
     // Written so that NaN is refused too.
@@ -49,7 +49,7 @@ pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {
 
 /// Parser options that know exactly one font, whatever the figure asks for.
 pub(super) fn usvg_options() -> usvg::Options<'static> {
-    let fonts = fonts();
+    let fonts = font_database();
     let family = fonts.faces().next().and_then(|face| face.families.first()).map(|(name, _)| name.clone());
     usvg::Options { fontdb: fonts, font_family: family.unwrap_or_default(), ..usvg::Options::default() }
 }

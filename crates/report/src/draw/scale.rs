@@ -19,7 +19,7 @@ impl LinearScale {
     /// A domain that is empty, reversed or not finite becomes one that can be drawn, see [`drawable`].
     #[must_use]
     pub(crate) fn new(domain: (f64, f64), range: (f64, f64)) -> Self {
-        Self { domain: drawable(domain), range }
+        Self { domain: drawable_interval(domain), range }
     }
 
     /// Where `value` is drawn, in pixels; NaN is drawn at the start.
@@ -40,7 +40,7 @@ fn clamp_finite(value: f64) -> f64 {
 /// An interval that can be drawn: finite, increasing, and wide enough that its ticks differ.
 #[must_use]
 pub(crate) fn drawable_interval(domain: (f64, f64)) -> (f64, f64) {
-    let (one, other) = (bounded(domain.0), bounded(domain.1));
+    let (one, other) = (clamp_finite(domain.0), clamp_finite(domain.1));
     let (low, high) = (one.min(other), one.max(other));
     let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
     if high - low >= least {
@@ -61,7 +61,7 @@ pub fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
 /// The interval with `share` of its width added at each end.
 #[must_use]
 pub fn pad_interval(domain: (f64, f64), share: f64) -> (f64, f64) {
-    let (low, high) = drawable(domain);
+    let (low, high) = drawable_interval(domain);
     let pad = share * (high - low);
     (low - pad, high + pad)
 }
@@ -79,7 +79,7 @@ impl Ticks {
     /// The closest-spaced round numbers of which at most `most` (taken as 5 to 10) lie in `domain`; always 2 at least.
     #[must_use]
     pub(crate) fn new(domain: (f64, f64), most: usize) -> Self {
-        let (low, high) = drawable(domain);
+        let (low, high) = drawable_interval(domain);
         let most = most.clamp(5, 10);
         // Neighbouring steps differ by a factor of at most 2.5: the first that fits under `most` leaves two or more.
         let start = ((high - low) / most as f64).log10().floor() as i32 - 1;
@@ -107,7 +107,7 @@ impl Ticks {
 
     /// Each number with its label.
     pub(crate) fn labels(&self) -> impl Iterator<Item = (f64, String)> + '_ {
-        self.values.iter().map(|&value| (value, signed(value, self.decimals)))
+        self.values.iter().map(|&value| (value, format_number(value, self.decimals)))
     }
 }
 

@@ -90,7 +90,7 @@ impl Stroke {
     /// The line of the `index`-th series: colour and dash repeat together only after twenty.
     #[must_use]
     pub fn series(index: usize) -> Self {
-        Self { ink: Ink::Series(index), width: 1.8, dash: dash(index) }
+        Self { ink: Ink::Series(index), width: 1.8, dash: series_dash(index) }
     }
 }
 

@@ -7,7 +7,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 
-use super::{ExportError, Row, rows};
+use super::{ExportError, TraceRow, trace_rows};
 use crumple_world::sim::Trace;
 
 const SCHEMA: &str = "message trace {
@@ -24,8 +24,8 @@ const SCHEMA: &str = "message trace {
 /// # Errors
 /// [`ExportError::Parquet`] if the encoder fails, which writing to memory does not.
 pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
-    let rows = rows(trace);
-    let doubles: [fn(&Row) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
+    let rows = trace_rows(trace);
+    let doubles: [fn(&TraceRow) -> f64; 3] = [|row| row.position_m, |row| row.speed_mps, |row| row.acceleration_mps2];
     let schema = Arc::new(parse_message_type(SCHEMA)?);
     let properties = WriterProperties::builder().set_compression(parquet::basic::Compression::SNAPPY).build();
     let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties))?;

@@ -10,7 +10,7 @@ pub mod openscenario;
 use crumple_world::sim::Trace;
 
 #[cfg(feature = "parquet")]
-pub use columnar::parquet;
+pub use columnar::to_parquet;
 
 const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
 
@@ -62,7 +62,7 @@ fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
 pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS)?;
-    for row in rows(trace) {
+    for row in trace_rows(trace) {
         let numbers = [row.position_m, row.speed_mps, row.acceleration_mps2].map(|number| number.to_string());
         let gap = row.gap_m.map(|gap_m| gap_m.to_string()).unwrap_or_default();
         let [position, speed, acceleration] = numbers;

@@ -1,8 +1,8 @@
 //! Result of a suite in the form that build servers read.
 
-use super::description::{least_margins, verdict, within_in_words};
-use crate::junit::{self, Case, Status, Suite};
-use crumple_suites::{SuiteResult, TestResult, TestVerdict, Tested};
+use super::description::{describe_min_margins, describe_verdict, describe_worst_in_tolerance};
+use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
+use crumple_suites::{SuiteResult, TestResult, TestVerdict, ControllerResult};
 
 /// Renders every test of every controller as a test case. A contact is a failure, a failing controller an error, and a test that
 /// cannot run is skipped.
@@ -10,31 +10,31 @@ use crumple_suites::{SuiteResult, TestResult, TestVerdict, Tested};
 pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {
         let document = format!("{}, {}", result.document, result.edition);
-        let tests = clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| case(test, tested)));
-        Suite {
+        let tests = clause.tests.iter().flat_map(|test| test.controllers.iter().map(move |tested| junit_case(test, tested)));
+        JunitSuite {
             name: format!("{} {}", result.suite, clause.clause),
             properties: vec![("statement".to_owned(), result.statement.to_string()), ("document".to_owned(), document)],
             cases: tests.collect(),
         }
     });
-    junit::xml("crumple suite", &suites.collect::<Vec<_>>())
+    junit::render_junit("crumple suite", &suites.collect::<Vec<_>>())
 }
 
-fn junit_case(test: &TestResult, tested: &Tested) -> Case {
-    let within = tested.within.as_ref().filter(|within| within.verdict.is_failure());
-    Case {
+fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {
+    let within = tested.worst_in_tolerance.as_ref().filter(|within| within.verdict.is_failure());
+    JunitCase {
         name: format!("{}: {}", test.name, tested.controller),
         status: match &tested.verdict {
-            TestVerdict::Passed if within.is_none() => Status::Passed,
-            TestVerdict::Passed | TestVerdict::Failed { .. } => Status::Failed,
-            TestVerdict::ControllerFailed { .. } => Status::Error,
-            TestVerdict::Refused { .. } => Status::Skipped,
+            TestVerdict::Passed if within.is_none() => JunitStatus::Passed,
+            TestVerdict::Passed | TestVerdict::Failed { .. } => JunitStatus::Failed,
+            TestVerdict::ControllerFailed { .. } => JunitStatus::Error,
+            TestVerdict::Refused { .. } => JunitStatus::Skipped,
         },
         message: match within {
-            _ if !tested.verdict.is_passed() => Some(verdict(&tested.verdict)),
-            Some(within) => Some(within_in_words(within)),
+            _ if !tested.verdict.is_passed() => Some(describe_verdict(&tested.verdict)),
+            Some(within) => Some(describe_worst_in_tolerance(within)),
             None => None,
         },
-        output: least_margins(&tested.margins).join("\n"),
+        output: describe_min_margins(&tested.margins).join("\n"),
     }
 }

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, html};
 
 use super::map_figure;
-use super::page::{head, seen};
-use crumple_core::quoted::{Lines, Terminal};
+use super::page::{html_head, describe_estimator};
+use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
 /// What no source at hand states.
@@ -35,7 +35,7 @@ pub(super) const LEGEND: [(char, &str); 5] = [
 
 impl PanelSummary<'_> {
     fn count(&self, letter_of: char) -> usize {
-        self.0.cells.iter().filter(|cell| letter(cell) == letter_of).count()
+        self.0.cells.iter().filter(|cell| cell_letter(cell) == letter_of).count()
     }
 
     /// What came of a driver, in a line.
@@ -72,7 +72,7 @@ pub fn render_map_text(map: &CrashMap) -> String {
     let CrashMap { situation, across, up, .. } = map;
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = writeln!(out, "{}: {}", situation.name(), situation.words());
+    let _ = writeln!(out, "{}: {}", situation.name(), situation.description());
     let _ = writeln!(out, "  {}", map.statement);
     for (name, axis) in [("across", across), ("up", up)] {
         let _ = writeln!(out, "  {name}: {}, {} to {}, {} cells", axis.title, axis.low, axis.high, axis.cells);
@@ -80,16 +80,16 @@ pub fn render_map_text(map: &CrashMap) -> String {
     let meanings: Vec<_> = LEGEND.iter().map(|(letter, what)| format!("{letter} {what}")).collect();
     let _ = writeln!(out, "  {}", meanings.join(", "));
     for line in &map.boundaries {
-        let _ = writeln!(out, "  {}", line.words);
+        let _ = writeln!(out, "  {}", line.label);
     }
     for panel in &map.panels {
-        let _ = writeln!(out, "\n{}: {}", Terminal(&heading(panel)), PanelSummary(panel).words());
+        let _ = writeln!(out, "\n{}: {}", TerminalText(&panel_title(panel)), PanelSummary(panel).describe());
         for row in panel.cells.chunks(across.cells.max(1)).rev() {
-            let row: String = row.iter().map(letter).collect();
+            let row: String = row.iter().map(cell_letter).collect();
             let _ = writeln!(out, "  {row}");
         }
     }
-    let _ = writeln!(out, "\n{PUBLISHED}");
+    let _ = writeln!(out, "\n{NO_PUBLISHED_COUNTS}");
     out
 }
 
@@ -100,26 +100,26 @@ pub fn render_map_html(map: &CrashMap) -> String {
     let page: Markup = html! {
         (DOCTYPE)
         html lang="en" {
-            (head(&title))
+            (html_head(&title))
             body {
                 header {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     h1 { (title) }
                     p.answer { (map.statement) }
-                    p { (map.situation.words()) " Reference drivers see the truth; the controllers look through " (seen(map.estimator)) "." }
+                    p { (map.situation.description()) " Reference drivers see the truth; the controllers look through " (describe_estimator(map.estimator)) "." }
                 }
                 main {
-                    figure { (map_figure::responsive(map)) }
+                    figure { (map_figure::draw_responsive(map)) }
                     div.scroll tabindex="0" { table {
                         thead { tr { th scope="col" { "driver" } th scope="col" { "what came of it" } } }
-                        tbody { @for panel in &map.panels { tr { th scope="row" { (heading(panel)) } td { (PanelSummary(panel).words()) } } } }
+                        tbody { @for panel in &map.panels { tr { th scope="row" { (panel_title(panel)) } td { (PanelSummary(panel).describe()) } } } }
                     } }
-                    ul { @for line in &map.boundaries { li { (line.words) } } }
+                    ul { @for line in &map.boundaries { li { (line.label) } } }
                     p { "Every cell is the scenario at its middle, run once for every driver. " (NO_PUBLISHED_COUNTS) }
                 }
                 footer.statement { (map.statement) }
             }
         }
     };
-    Lines(&page.into_string()).to_string()
+    TerminalLines(&page.into_string()).to_string()
 }

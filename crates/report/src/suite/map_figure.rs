@@ -2,17 +2,17 @@
 
 use maud::{Markup, html};
 
-use super::map::{LEGEND, heading, letter};
+use super::map::{LEGEND, panel_title, cell_letter};
 use crate::draw::{
-    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, Frame, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg,
-    grid_frames, words,
+    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg,
+    grid_rects, description,
 };
-use crumple_suites::{Boundary, CrashMap, MapAxis, MapPanel};
+use crumple_suites::{Boundary, CrashMap, CrashMapAxis, MapPanel};
 
 /// Both arrangements, of which the page shows the one that fits.
 pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
     html! {
-        div.draw-wide { (draw(map, "map-wide", 960.0, columns(map))) }
+        div.draw-wide { (draw(map, "map-wide", 960.0, column_count(map))) }
         div.draw-narrow { (draw(map, "map-narrow", 360.0, 1)) }
     }
 }
@@ -20,7 +20,7 @@ pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
 /// A map as a figure by itself.
 #[must_use]
 pub fn draw_map(map: &CrashMap) -> Svg {
-    draw(map, "map", 960.0, columns(map))
+    draw(map, "map", 960.0, column_count(map))
 }
 
 fn column_count(map: &CrashMap) -> usize {
@@ -45,53 +45,53 @@ fn boundary_stroke(boundary: &Boundary) -> Stroke {
 }
 
 fn draw(map: &CrashMap, prefix: &str, width: f64, columns: usize) -> Svg {
-    let (key, key_height) = key(map, width);
+    let (key, key_height) = draw_legend(map, width);
     let column_width = width / columns as f64;
     let plot = (column_width - LEFT_MARGIN - 18.0, 0.8 * (column_width - LEFT_MARGIN - 18.0));
     let row_height = HEADING_HEIGHT + plot.1 + BOTTOM_MARGIN;
     let placed = |(index, panel): (usize, &MapPanel)| {
         let (column, row) = (index % columns, index / columns);
         let (left, top) = (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
-        let frame = Frame { left, top, width: plot.0, height: plot.1 };
-        self::panel(map, panel, frame).draw(&Svg::id(prefix, &index.to_string()))
+        let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
+        self::draw_panel(map, panel, frame).draw(&Svg::id(prefix, &index.to_string()))
     };
     let content = html! { (key) @for one in map.panels.iter().enumerate() { (placed(one)) } };
     let height = key_height + map.panels.len().div_ceil(columns) as f64 * row_height;
     let description = "One panel a driver; every cell is a scenario. Blank: no contact; cross: contact; hatched: contact of a driver that never braked. Lines are closed forms.";
-    let title = format!("{} {}", map.situation.words(), map.statement);
+    let title = format!("{} {}", map.situation.description(), map.statement);
     Svg::new(prefix, (width, height), &title, description, content)
 }
 
-fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: Frame) -> Panel {
-    let axis = |of: &MapAxis, title: &str| Axis::numbers(title, (of.low, of.high), 6);
-    let mut panel = Panel::new(frame, &heading(shown), axis(&map.across, map.across.title), axis(&map.up, ""));
+fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: PixelRect) -> Panel {
+    let axis = |of: &CrashMapAxis, title: &str| Axis::numeric(title, (of.low, of.high), 6);
+    let mut panel = Panel::new(frame, &panel_title(shown), axis(&map.across, map.across.title), axis(&map.up, ""));
     let above = (frame.left - LEFT_MARGIN, frame.top - 8.0);
-    panel.overlay(words(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
+    panel.add_overlay(words(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
     let (columns, rows) = (map.across.cells, map.up.cells);
     // Cells come row by row from the bottom, frames from the top.
-    let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(letter);
-    let cells: Vec<(char, Frame)> = from_top.zip(grid_frames(frame, columns, rows)).collect();
+    let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(cell_letter);
+    let cells: Vec<(char, PixelRect)> = from_top.zip(grid_rects(frame, columns, rows)).collect();
     for (kind, _) in LEGEND {
         let of_kind = cells.iter().filter(|(letter, _)| *letter == kind).map(|(_, frame)| *frame);
-        panel.layer(draw::cells(look(kind), of_kind));
+        panel.add_clipped(simulate_failures::cells(cell_style(kind), of_kind));
     }
     for boundary in &map.boundaries {
         let points: Vec<(f64, f64)> = boundary.points.iter().map(|&[across, up]| (across, up)).collect();
-        panel.line(&points, line(boundary));
+        panel.add_line(&points, boundary_stroke(boundary));
     }
-    let stated: Vec<(f64, f64)> = map.stated.iter().map(|&[across, up]| (across, up)).collect();
-    panel.marks(&stated, Marker::Disc, Ink::Text);
+    let stated: Vec<(f64, f64)> = map.stated_points.iter().map(|&[across, up]| (across, up)).collect();
+    panel.add_markers(&stated, Marker::Disc, Ink::Text);
     panel
 }
 
 /// What is drawn, and the height that this takes. What does not occur is left out.
 fn draw_legend(map: &CrashMap, width: f64) -> (Markup, f64) {
-    let occurs = |kind: char| map.panels.iter().flat_map(|panel| &panel.cells).any(|cell| letter(cell) == kind);
-    let kinds = LEGEND.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| LegendEntry::Cell(look(*kind), what));
-    let lines = map.boundaries.iter().map(|one| LegendEntry::Line(line(one), &one.words));
+    let occurs = |kind: char| map.panels.iter().flat_map(|panel| &panel.cells).any(|cell| cell_letter(cell) == kind);
+    let kinds = LEGEND.iter().filter(|(kind, _)| occurs(*kind)).map(|(kind, what)| LegendEntry::Cell(cell_style(*kind), what));
+    let lines = map.boundaries.iter().map(|one| LegendEntry::Line(boundary_stroke(one), &one.label));
     let mut entries: Vec<LegendEntry<'_>> = kinds.chain(lines).collect();
-    if !map.stated.is_empty() {
+    if !map.stated_points.is_empty() {
         entries.push(LegendEntry::Mark(Marker::Disc, "AFGBV: contact has to be avoided above"));
     }
-    draw::key(&entries, width)
+    draw::draw_legend(&entries, width)
 }

@@ -9,33 +9,33 @@ mod description;
 
 use std::fmt::Write;
 
-use crumple_core::quoted::Terminal;
-use crumple_suites::{Failed, SuiteResult, TestResult, Tested};
+use crumple_core::quoting::TerminalText;
+use crumple_suites::{FailedPoint, SuiteResult, TestResult, ControllerResult};
 
-pub use junit::xml;
-pub use map::{map_html, map_text};
-pub use map_figure::map_figure;
+pub use junit::render_junit;
+pub use map::{render_map_html, render_map_text};
+pub use map_figure::draw_map;
 pub use page::html;
-pub use table::table;
-use description::headline;
-pub(crate) use description::{least_margins, preventable, verdict, within_in_words};
+pub use table::render_markdown_table;
+use description::describe_outcome;
+pub(crate) use description::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
 
 /// The matrix clause, test, controller, verdict and margin, what failed, and what it does not say. `replay` is the command that
 /// shows a failure of a controller; none where its scenario was not written.
 #[must_use]
-pub fn render_text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Option<String>) -> String {
+pub fn render_text(result: &SuiteResult, replay: impl Fn(&FailedPoint, &ControllerResult) -> Option<String>) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
     let _ = writeln!(out, "{}: {}, {}", result.suite, result.document, result.edition);
     let _ = writeln!(out, "  {}", result.statement);
-    let _ = writeln!(out, "  figures from: {}", result.figures_from);
+    let _ = writeln!(out, "  figures from: {}", result.parameter_source);
     for clause in &result.clauses {
-        let _ = writeln!(out, "\n{}  {}", clause.clause, clause.says);
+        let _ = writeln!(out, "\n{}  {}", clause.clause, clause.summary);
         for test in &clause.tests {
             write_test(&mut out, test, &replay);
         }
     }
-    for (title, list) in [("outside the model", &result.outside), ("left out", &result.left_out)] {
+    for (title, list) in [("outside the model", &result.not_modelled), ("left out", &result.omitted_parameters)] {
         if !list.is_empty() {
             let _ = writeln!(out, "\n{title}");
         }
@@ -46,30 +46,30 @@ pub fn render_text(result: &SuiteResult, replay: impl Fn(&Failed, &Tested) -> Op
     out
 }
 
-fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&Failed, &Tested) -> Option<String>) {
+fn write_test(out: &mut String, test: &TestResult, replay: &impl Fn(&FailedPoint, &ControllerResult) -> Option<String>) {
     let chosen = if test.is_as_stated { "" } else { " (some figures are chosen, not the document's)" };
     let _ = writeln!(out, "  {}{chosen}", test.name);
     if let Some(limit) = &test.impact_at_most {
-        let _ = writeln!(out, "    {}", description::allowed(limit));
+        let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
     for tested in &test.controllers {
         let points =
-            if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) };
-        let _ = writeln!(out, "    {}: {}{points}", Terminal(&tested.controller), Terminal(&headline(tested)));
-        for line in least_margins(&tested.margins) {
+            if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) };
+        let _ = writeln!(out, "    {}: {}{points}", TerminalText(&tested.controller), TerminalText(&describe_outcome(tested)));
+        for line in describe_min_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
-        if let Some(within) = &tested.within {
-            let _ = writeln!(out, "      {}", Terminal(&within_in_words(within)));
+        if let Some(within) = &tested.worst_in_tolerance {
+            let _ = writeln!(out, "      {}", TerminalText(&describe_worst_in_tolerance(within)));
         }
         for failed in tested.failures() {
-            let _ = writeln!(out, "      fails at {}: {}", failed.point, Terminal(&verdict(&failed.verdict)));
-            let preventable = preventable(failed);
+            let _ = writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&describe_verdict(&failed.verdict)));
+            let preventable = describe_preventability(failed);
             if !preventable.is_empty() {
-                let _ = writeln!(out, "        {}", Terminal(&preventable));
+                let _ = writeln!(out, "        {}", TerminalText(&preventable));
             }
             if let Some(command) = replay(failed, tested) {
-                let _ = writeln!(out, "        {}", Terminal(&command));
+                let _ = writeln!(out, "        {}", TerminalText(&command));
             }
         }
     }

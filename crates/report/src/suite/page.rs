@@ -2,12 +2,12 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::description::{allowed, headline, least_margins, prevention, verdict, within_in_words};
+use super::description::{describe_impact_limit, describe_outcome, describe_min_margins, describe_prevention, describe_verdict, describe_worst_in_tolerance};
 use crate::PAGE_STYLE;
-use crate::draw::{self, MotionFigure, motion_responsive, vehicle_names};
+use crate::draw::{self, MotionFigure, draw_motion_responsive, vehicle_names};
 use crate::units::insert_nbsp_before_units;
-use crumple_core::quoted::Lines;
-use crumple_suites::{ClauseResult, Failed, SuiteResult, TestResult, TestVerdict, Tested};
+use crumple_core::quoting::TerminalLines;
+use crumple_suites::{ClauseResult, FailedPoint, SuiteResult, TestResult, TestVerdict, ControllerResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
@@ -22,32 +22,32 @@ const MAX_FIGURES: usize = 2;
 pub fn render_html(
     result: &SuiteResult,
     controllers: &[NamedController],
-    replay: impl Fn(&Failed, &Tested) -> Option<String>,
+    replay: impl Fn(&FailedPoint, &ControllerResult) -> Option<String>,
 ) -> String {
     let page = Page { result, controllers, replay: &replay };
-    insert_nbsp_before_units(&Lines(&page.document().into_string()).to_string())
+    insert_nbsp_before_units(&TerminalLines(&page.to_markup().into_string()).to_string())
 }
 
 struct Page<'a> {
     result: &'a SuiteResult,
     controllers: &'a [NamedController],
-    replay: &'a dyn Fn(&Failed, &Tested) -> Option<String>,
+    replay: &'a dyn Fn(&FailedPoint, &ControllerResult) -> Option<String>,
 }
 
 impl Page<'_> {
     fn to_markup(&self) -> Markup {
-        let SuiteResult { statement, suite, document, edition, figures_from, clauses, .. } = self.result;
+        let SuiteResult { statement, suite, document, edition, parameter_source: figures_from, clauses, .. } = self.result;
         let title = format!("{suite}: {document}");
         html! {
             (DOCTYPE)
             html lang="en" {
-                (head(&title))
+                (html_head(&title))
                 body {
                     header {
                         p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                         h1 { (title) }
                         p.answer { (statement) }
-                        p { (edition) ". Figures from: " (figures_from) " The controllers look through " (seen(self.result.estimator)) "." }
+                        p { (edition) ". Figures from: " (figures_from) " The controllers look through " (describe_estimator(self.result.estimator)) "." }
                         nav {
                             a href="#matrix" { "Matrix" }
                             @for (index, clause) in clauses.iter().enumerate() { " " a href={ "#clause-" (index) } { (clause.clause) } }
@@ -57,7 +57,7 @@ impl Page<'_> {
                     main {
                         section id="matrix" { h2 { "Matrix" } (self.matrix()) }
                         @for (index, clause) in clauses.iter().enumerate() { (self.clause(index, clause)) }
-                        section id="outside" { h2 { "What it does not say" } (self.outside()) }
+                        section id="outside" { h2 { "What it does not say" } (self.limitations()) }
                     }
                     footer.statement { (statement) }
                 }
@@ -78,7 +78,7 @@ impl Page<'_> {
                 tbody { @for (clause, test) in self.result.tests() { tr {
                     th scope="row" { a href={ "#test-" (test.name) } { (test.name) } }
                     td { (clause.clause) }
-                    @for tested in &test.controllers { td.judged.(class(tested)) { (cell(tested)) } }
+                    @for tested in &test.controllers { td.judged.(css_class(tested)) { (matrix_cell(tested)) } }
                 } } }
             } }
             p.kicker { "✓ every point of the grid passes, and none was found to fail that the clause allows; ✗ some point fails; – cannot be run." }
@@ -89,7 +89,7 @@ impl Page<'_> {
         html! {
             section id={ "clause-" (index) } {
                 h2 { (clause.clause) }
-                p { (clause.says) }
+                p { (clause.summary) }
                 @for test in &clause.tests { (self.test(test)) }
             }
         }
@@ -98,14 +98,14 @@ impl Page<'_> {
     fn test(&self, test: &TestResult) -> Markup {
         html! {
             h3 id={ "test-" (test.name) } { (test.name) }
-            @if test.figures.stated().next().is_some() { (figures(test)) }
+            @if test.parameters.iter().next().is_some() { (parameter_list(test)) }
             div.scroll tabindex="0" { table {
                 thead { tr { @for name in ["controller", "verdict", "margins", "worst that the clause allows"] { th scope="col" { (name) } } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
-                    td.judged.(class(tested)) { (sign(tested)) (headline(tested)) (points(tested)) }
-                    td.wide { @for line in least_margins(&tested.margins) { p { (line) } } }
-                    td.wide { @if let Some(within) = &tested.within { (within_in_words(within)) } @else { "–" } }
+                    td.judged.(css_class(tested)) { (verdict_sign(tested)) (describe_outcome(tested)) (format_points(tested)) }
+                    td.wide { @for line in describe_min_margins(&tested.margins) { p { (line) } } }
+                    td.wide { @if let Some(within) = &tested.worst_in_tolerance { (describe_worst_in_tolerance(within)) } @else { "–" } }
                 } } }
             } }
             @for tested in &test.controllers { @if tested.failures().next().is_some() { (self.failures(test, tested)) } }
@@ -113,11 +113,11 @@ impl Page<'_> {
     }
 
     /// What failed: every point in a table, the fastest impacts drawn.
-    fn failures(&self, test: &TestResult, tested: &Tested) -> Markup {
-        let mut worst: Vec<&Failed> = tested.failures().collect();
+    fn failures(&self, test: &TestResult, tested: &ControllerResult) -> Markup {
+        let mut worst: Vec<&FailedPoint> = tested.failures().collect();
         let all = worst.len();
         worst.sort_by(|a, b| impact_mps(&b.verdict).total_cmp(&impact_mps(&a.verdict)));
-        worst.truncate(MOST_DRAWN);
+        worst.truncate(MAX_FIGURES);
         // None where a controller gave no answer: there may have been nothing to prevent.
         let drivers = tested.failures().map(|failed| &failed.references).find(|references| !references.is_empty());
         let asked = drivers.map_or(0, Vec::len);
@@ -133,8 +133,8 @@ impl Page<'_> {
                     } }
                     tbody { @for failed in tested.failures() { tr {
                         th scope="row" { (failed.point) }
-                        td { (verdict(&failed.verdict)) }
-                        @for run in &failed.references { td { (prevention(run.prevention)) } }
+                        td { (describe_verdict(&failed.verdict)) }
+                        @for run in &failed.references { td { (describe_prevention(run.prevention)) } }
                         @for _ in failed.references.len()..asked { td { "–" } }
                         td { (failed.avoidability.describe().unwrap_or_else(|| "not asked".to_owned())) }
                     } } }
@@ -149,7 +149,7 @@ impl Page<'_> {
     }
 
     /// The motion of a failure, by driving it once more.
-    fn figure(&self, failed: &Failed, tested: &Tested) -> Markup {
+    fn figure(&self, failed: &FailedPoint, tested: &ControllerResult) -> Markup {
         let named = self.controllers.iter().find(|one| one.name == tested.controller);
         let options = named.map(|one| RunOptions::new(one.kind.clone()).with_estimator(self.result.estimator));
         let run = options.and_then(|options| Run::new(&failed.scenario, options).ok());
@@ -163,8 +163,8 @@ impl Page<'_> {
             @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
                 @let impacts = &simulated.impacts;
                 figure {
-                    (motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &labels, trace, impacts }))
-                    figcaption { (tested.controller) " at " (failed.point) ": " (verdict(&failed.verdict)) }
+                    (draw_motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &labels, trace, impacts }))
+                    figcaption { (tested.controller) " at " (failed.point) ": " (describe_verdict(&failed.verdict)) }
                 }
             } }
         }
@@ -172,7 +172,7 @@ impl Page<'_> {
 
     fn limitations(&self) -> Markup {
         html! {
-            @for (title, list) in [("Outside the model", &self.result.outside), ("Left out", &self.result.left_out)] {
+            @for (title, list) in [("Outside the model", &self.result.not_modelled), ("Left out", &self.result.omitted_parameters)] {
                 @if !list.is_empty() { h3 { (title) } ul { @for entry in list { li { (entry) } } } }
             }
             p { "Preventable is said by the reference drivers, who see the truth, and by a search for an escape of anybody who knows the future, \
@@ -203,15 +203,15 @@ pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
 /// Every figure, and who says so.
 fn parameter_list(test: &TestResult) -> Markup {
     html! {
-        ul.short { @for (parameter, figure) in test.figures.stated() {
+        ul.short { @for (parameter, figure) in test.parameters.iter() {
             @let values: Vec<String> = figure.values.iter().map(f64::to_string).collect();
             li {
-                (parameter.words()) ": " (values.join(", ")) " " (figure.unit) " (" (figure.origin.words()) ")"
+                (parameter.label()) ": " (values.join(", ")) " " (figure.unit) " (" (figure.origin.label()) ")"
                 @if !figure.note.is_empty() { ". " (figure.note) }
             }
         }
         @if let Some(limit) = &test.impact_at_most { li {
-            (allowed(limit))
+            (describe_impact_limit(limit))
             @if !limit.note.is_empty() { ". " (limit.note) }
         } } }
     }
@@ -224,11 +224,11 @@ fn impact_mps(verdict: &TestVerdict) -> f64 {
     }
 }
 
-fn is_refused(tested: &Tested) -> bool {
+fn is_refused(tested: &ControllerResult) -> bool {
     matches!(tested.verdict, TestVerdict::Refused { .. })
 }
 
-fn css_class(tested: &Tested) -> &'static str {
+fn css_class(tested: &ControllerResult) -> &'static str {
     match tested.is_passed() {
         true => "good",
         false if is_refused(tested) => "refused",
@@ -236,7 +236,7 @@ fn css_class(tested: &Tested) -> &'static str {
     }
 }
 
-fn verdict_sign(tested: &Tested) -> &'static str {
+fn verdict_sign(tested: &ControllerResult) -> &'static str {
     match tested.is_passed() {
         true => "✓ ",
         false if is_refused(tested) => "– ",
@@ -244,16 +244,16 @@ fn verdict_sign(tested: &Tested) -> &'static str {
     }
 }
 
-fn format_points(tested: &Tested) -> String {
-    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed, tested.points) }
+fn format_points(tested: &ControllerResult) -> String {
+    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) }
 }
 
 /// A cell of the matrix: how many points pass, how hard the worst contact is, the first margin.
-fn matrix_cell(tested: &Tested) -> Markup {
+fn matrix_cell(tested: &ControllerResult) -> Markup {
     let worst_mps = tested.failures().map(|failed| impact_mps(&failed.verdict)).fold(0.0, f64::max);
     html! {
-        (sign(tested))
-        @if tested.points == 0 { "not run" } @else { (tested.passed) " of " (tested.points) }
+        (verdict_sign(tested))
+        @if tested.points == 0 { "not run" } @else { (tested.passed_points) " of " (tested.points) }
         @if worst_mps > 0.0 { br; "worst " (format!("{worst_mps:.1}")) " m/s" }
     }
 }

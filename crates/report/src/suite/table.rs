@@ -1,8 +1,8 @@
 //! Runs of several suites with the same controllers, as one table in Markdown.
 
-use super::description::least;
+use super::description::min_margins;
 use crate::markdown::Markdown;
-use crumple_suites::{Margin, MarginEnd, DISCLAIMER, SuiteResult, TestVerdict, Tested};
+use crumple_suites::{Margin, MarginEnd, DISCLAIMER, SuiteResult, TestVerdict, ControllerResult};
 
 /// A row a test, a column a controller: how many points of the grid pass, the fastest impact, and how far the first direction of a
 /// test that passes can be pushed.
@@ -23,15 +23,15 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     let row = |(result, test): (&SuiteResult, &crumple_suites::TestResult)| {
         let chosen = if test.is_as_stated { "" } else { "*" };
         let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
-        head.into_iter().chain(test.controllers.iter().map(cell)).collect()
+        head.into_iter().chain(test.controllers.iter().map(format_cell)).collect()
     };
     text.table(&header, &columns, tests().map(row));
     text.paragraph("*: some figures are chosen, not the document's.");
     text.into_string()
 }
 
-fn format_cell(tested: &Tested) -> String {
-    let points = format!("{}/{}", tested.passed, tested.points);
+fn format_cell(tested: &ControllerResult) -> String {
+    let points = format!("{}/{}", tested.passed_points, tested.points);
     if tested.points == 0 {
         return "–".to_owned();
     }
@@ -45,15 +45,15 @@ fn format_cell(tested: &Tested) -> String {
         let impact = fastest.map_or_else(String::new, |mps| format!(", {mps:.1} m/s"));
         return format!("{sign} {points}{impact}");
     }
-    let margin = least(&tested.margins).first().map_or_else(String::new, |(margin, _)| format!(", {}", end(margin)));
+    let margin = min_margins(&tested.margins).first().map_or_else(String::new, |(margin, _)| format!(", {}", describe_margin_end(margin)));
     format!("✓ {points}{margin}")
 }
 
 fn describe_margin_end(margin: &Margin) -> String {
-    let Margin { push, unit, to, end, .. } = margin;
+    let Margin { parameter: push, unit, to, end, .. } = margin;
     match end {
-        MarginEnd::None { .. } => format!("{} not at all", push.words()),
-        MarginEnd::Holds { .. } => format!("{} to {to} {unit}", push.words()),
-        MarginEnd::Boundary { passes_at, .. } => format!("{} to {passes_at:.2} {unit}", push.words()),
+        MarginEnd::None { .. } => format!("{} not at all", push.label()),
+        MarginEnd::Holds { .. } => format!("{} to {to} {unit}", push.label()),
+        MarginEnd::Boundary { passes_at, .. } => format!("{} to {passes_at:.2} {unit}", push.label()),
     }
 }

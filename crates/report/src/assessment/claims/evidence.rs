@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Claim, Strength};
+use super::{AssuranceClaim, Strength};
 
 /// What speaks for a claim, or against it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Evidence {
     /// The claim.
-    pub claim: Claim,
+    pub claim: AssuranceClaim,
     /// How strongly.
     #[serde(flatten)]
     pub strength: Strength,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Claim, Evidence, Property, Strength};
+use super::{AssuranceClaim, Evidence, Property, Strength};
 
 /// How evidence speaks for a claim. There is no other way; least of all by a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,7 +33,7 @@ impl InferenceRule {
     #[must_use]
     pub fn describe(self) -> &'static str {
         match self {
-            Self::Own => {
+            Self::Direct => {
                 "Evidence speaks for the claim that it equals: the same controller by its hash, estimator, property and domain."
             }
             Self::RefutedInPart => {
@@ -54,16 +54,16 @@ impl InferenceRule {
     }
 
     /// What `evidence` says of `claim`, and by which rule; nothing if it says nothing.
-    pub(super) fn apply(evidence: &Evidence, claim: &Claim) -> Option<(Self, Strength)> {
+    pub(super) fn apply(evidence: &Evidence, claim: &AssuranceClaim) -> Option<(Self, Strength)> {
         let (own, strength) = (&evidence.claim, &evidence.strength);
         if own.subject != claim.subject || *strength == Strength::Untried {
             return None;
         }
         if own.domain == claim.domain && own.property == claim.property {
-            return Some((Self::Own, strength.clone()));
+            return Some((Self::Direct, strength.clone()));
         }
         if let (Property::FailureRate, Property::RateAtMost { percent }) = (&own.property, &claim.property) {
-            let decided = (own.domain == claim.domain).then(|| strength.of_rate(percent.value()))??;
+            let decided = (own.domain == claim.domain).then(|| strength.decide_rate_claim(percent.value()))??;
             return Some((Self::BoundsDecide, decided));
         }
         if !own.property.is_universal() || !claim.property.is_universal() {

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Claim, Domain, Evidence, Property, Rule, Strength};
+use super::{AssuranceClaim, Domain, Evidence, Property, InferenceRule, Strength};
 
 /// All evidence of an assessment.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -22,7 +22,7 @@ pub struct ClaimStatus {
     #[serde(flatten)]
     pub strength: Strength,
     /// How that follows; none if nothing is known.
-    pub rule: Option<Rule>,
+    pub rule: Option<InferenceRule>,
     /// Which evidence says so, by its place in the ledger.
     pub evidence: Vec<usize>,
     /// What other evidence says of the same claim.
@@ -38,7 +38,7 @@ pub struct SecondaryEvidence {
     #[serde(flatten)]
     pub strength: Strength,
     /// How that follows.
-    pub rule: Rule,
+    pub rule: InferenceRule,
     /// Which evidence, by its place in the ledger.
     pub evidence: usize,
 }
@@ -46,24 +46,24 @@ pub struct SecondaryEvidence {
 impl SecondaryEvidence {
     /// Whether it is what a count says, so that one of several has to be chosen without regard to what it says.
     fn is_counted(&self) -> bool {
-        self.rule == Rule::BoundsDecide
-            || matches!(self.strength, Strength::Counted { .. } | Strength::CountedInVain { .. })
+        self.rule == InferenceRule::BoundsDecide
+            || matches!(self.strength, Strength::Counted { .. } | Strength::NotShownByCounting { .. })
     }
 }
 
-impl Default for Standing {
+impl Default for ClaimStatus {
     /// Of what nothing is known.
     fn default() -> Self {
-        Self { strength: Strength::Untried, rule: None, evidence: Vec::new(), beside: Vec::new() }
+        Self { strength: Strength::Untried, rule: None, evidence: Vec::new(), secondary: Vec::new() }
     }
 }
 
-impl Standing {
+impl ClaimStatus {
     /// How the claim stands, and what else is said of it.
     #[must_use]
     pub fn describe(&self) -> String {
-        let others = self.beside.iter().map(|beside| beside.strength.words());
-        let mut said = vec![self.strength.words()];
+        let others = self.secondary.iter().map(|beside| beside.strength.describe());
+        let mut said = vec![self.strength.describe()];
         for other in others.filter(|other| self.strength == Strength::Contradicted || !other.starts_with("tested")) {
             if !said.contains(&other) {
                 said.push(other);
@@ -93,13 +93,13 @@ impl Ledger {
     /// How a claim stands: the strongest reading of the evidence, the others beside it. Where one reading says that the claim
     /// holds, not only that it was tried, and another that it does not, it is [`Strength::Contradicted`].
     #[must_use]
-    pub fn claim_status(&self, claim: &Claim) -> Standing {
+    pub fn claim_status(&self, claim: &AssuranceClaim) -> ClaimStatus {
         let read = |(place, evidence)| {
-            Rule::read(evidence, claim).map(|(rule, strength)| SecondaryEvidence { strength, rule, evidence: place })
+            InferenceRule::apply(evidence, claim).map(|(rule, strength)| SecondaryEvidence { strength, rule, evidence: place })
         };
         let mut all: Vec<SecondaryEvidence> = self.evidence.iter().enumerate().filter_map(read).collect();
         let united = self.combine_partial_proofs(claim);
-        let deciding = self.deciding(&all);
+        let deciding = self.deciding_count(&all);
         let weight = |one: &SecondaryEvidence| {
             let is_free = !one.is_counted() || one.strength.is_refutation();
             if is_free || Some(one.evidence) == deciding { one.strength.weight() } else { -1.0 }
@@ -110,26 +110,26 @@ impl Ledger {
         let refuted: Vec<_> = all.iter().filter(|one| one.strength.is_refutation()).map(|one| one.evidence).collect();
         if (holds && !refuted.is_empty()) || self.has_disjoint_bounds(claim) {
             let evidence = all.iter().map(|one| one.evidence).collect();
-            return Standing { strength: Strength::Contradicted, rule: None, evidence, beside: all };
+            return ClaimStatus { strength: Strength::Contradicted, rule: None, evidence, secondary: all };
         }
         if let Some((strength, evidence)) = united
             && all.first().is_none_or(|first| first.strength.weight() < strength.weight())
         {
-            return Standing { strength, rule: Some(Rule::ProofsOfParts), evidence, beside: all };
+            return ClaimStatus { strength, rule: Some(InferenceRule::ProofsOfParts), evidence, secondary: all };
         }
         if all.is_empty() {
-            return Standing::default();
+            return ClaimStatus::default();
         }
         let SecondaryEvidence { strength, rule, evidence } = all.remove(0);
-        Standing { strength, rule: Some(rule), evidence: vec![evidence], beside: all }
+        ClaimStatus { strength, rule: Some(rule), evidence: vec![evidence], secondary: all }
     }
 
     /// Whether two pieces of evidence bound the rate that a claim is about, and their bounds do not meet.
-    fn has_disjoint_bounds(&self, claim: &Claim) -> bool {
+    fn has_disjoint_bounds(&self, claim: &AssuranceClaim) -> bool {
         if !matches!(claim.property, Property::RateAtMost { .. }) {
             return false;
         }
-        let rate = Claim { property: Property::FailureRate, ..claim.clone() };
+        let rate = AssuranceClaim { property: Property::FailureRate, ..claim.clone() };
         let bounds = self.evidence.iter().filter(|one| one.claim == rate).filter_map(|one| match one.strength {
             Strength::Between { lower_percent, upper_percent, .. } => {
                 Some((lower_percent.value(), upper_percent.value()))
@@ -146,20 +146,20 @@ impl Ledger {
     /// shown, then the most runs; of equals the least favourable.
     fn deciding_count(&self, readings: &[SecondaryEvidence]) -> Option<usize> {
         let counts = readings.iter().filter(|one| one.is_counted()).filter_map(|one| {
-            let fixed = CountPriority::of(&self.evidence.get(one.evidence)?.strength)?;
+            let fixed = CountPriority::from_strength(&self.evidence.get(one.evidence)?.strength)?;
             Some((one.evidence, fixed))
         });
         counts.max_by(|(_, a), (_, b)| a.compare(b)).map(|(place, _)| place)
     }
 
     /// The proofs that cover all scenarios of a claim together, if no single one does.
-    fn combine_partial_proofs(&self, claim: &Claim) -> Option<(Strength, Vec<usize>)> {
+    fn combine_partial_proofs(&self, claim: &AssuranceClaim) -> Option<(Strength, Vec<usize>)> {
         let Domain::Scenarios { about, all } = &claim.domain else { return None };
         let proof_of = |scenario| {
             let domain = Domain::Scenarios { about: about.clone(), all: vec![scenario] };
-            let part = Claim { domain, ..claim.clone() };
+            let part = AssuranceClaim { domain, ..claim.clone() };
             let proves = |evidence: &Evidence| {
-                matches!(Rule::read(evidence, &part), Some((Rule::Own | Rule::ProofCovers, Strength::Proved { .. })))
+                matches!(InferenceRule::apply(evidence, &part), Some((InferenceRule::Direct | InferenceRule::ProofCovers, Strength::Proved { .. })))
             };
             self.evidence.iter().position(proves)
         };
@@ -182,7 +182,7 @@ impl CountPriority {
                 (confidence_percent, runs, upper_percent.value())
             }
             Strength::Counted { confidence_percent, runs } => (confidence_percent, runs, 0.0),
-            Strength::CountedInVain { confidence_percent, runs } => (confidence_percent, runs, 100.0),
+            Strength::NotShownByCounting { confidence_percent, runs } => (confidence_percent, runs, 100.0),
             _ => return None,
         };
         Some(Self { confidence_percent: confidence_percent.value(), runs, against_percent })

@@ -16,9 +16,9 @@ use crumple_world::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
-pub use evidence::{Evidence, Source};
-pub use ledger::{Beside, Ledger, Standing};
-pub use inference_rule::Rule;
+pub use evidence::{Evidence, EvidenceSource};
+pub use ledger::{SecondaryEvidence, Ledger, ClaimStatus};
+pub use inference_rule::InferenceRule;
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
 /// Something with a name for readers and a hash to compare by.
@@ -41,7 +41,7 @@ impl ContentId {
     /// what it is when the format grows.
     pub fn from_scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
         let spec = scenario.spec();
-        Self::of(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
+        Self::new(name, serde_json::to_string(spec).unwrap_or_else(|_| format!("{spec:?}")))
     }
 }
 
@@ -198,12 +198,12 @@ impl Property {
             Self::FailureRate => "the share of runs with contact".to_owned(),
             Self::RateAtMost { percent } => format!("contact in at most {} % of runs", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
-            Self::NoNeedlessBraking => "no braking without cause".to_owned(),
+            Self::NoUnnecessaryBraking => "no braking without cause".to_owned(),
             Self::KeepsUp => "never left behind".to_owned(),
             Self::PassesTests => "every test passes that can be run".to_owned(),
             Self::OthersKeepClear => "no contact among the others".to_owned(),
             Self::StringStable => "no disturbance grows".to_owned(),
-            Self::Keeps { rule } => rule.clone(),
+            Self::Satisfies { rule } => rule.clone(),
         }
     }
 
@@ -213,15 +213,15 @@ impl Property {
         match self {
             Self::NoContact => "contact".to_owned(),
             Self::NoContactAhead => "contact with the vehicle ahead".to_owned(),
-            Self::FailureRate => self.words(),
+            Self::FailureRate => self.describe(),
             Self::RateAtMost { percent } => format!("contact in more than {} % of runs", percent.value()),
             Self::FailsLessOften { than } => format!("no fewer failures than {}", than.name),
-            Self::NoNeedlessBraking => "braking without cause".to_owned(),
+            Self::NoUnnecessaryBraking => "braking without cause".to_owned(),
             Self::KeepsUp => "left behind".to_owned(),
             Self::PassesTests => "tests that fail".to_owned(),
             Self::OthersKeepClear => "contact among the others".to_owned(),
             Self::StringStable => "a disturbance that grows".to_owned(),
-            Self::Keeps { rule } => format!("violation of `{rule}`"),
+            Self::Satisfies { rule } => format!("violation of `{rule}`"),
         }
     }
 
@@ -234,7 +234,7 @@ impl Property {
     /// Whether it is said of every run of a domain, so that one run refutes it.
     #[must_use]
     pub(crate) fn is_universal(&self) -> bool {
-        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoNeedlessBraking | Self::Keeps { .. })
+        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking | Self::Satisfies { .. })
     }
 }
 
@@ -289,15 +289,15 @@ impl AssuranceClaim {
             }
             // Through a filter a shield takes for granted that the truth is near.
             (Property::NoContactAhead, Domain::Kernels { .. }) if self.subject.estimator == EstimatorKind::Kalman => {
-                format!("{}, while its filter is off by no more than the shield allows for", self.domain.words())
+                format!("{}, while its filter is off by no more than the shield allows for", self.domain.describe())
             }
-            (_, domain) => domain.words(),
+            (_, domain) => domain.describe(),
         }
     }
 
     /// The claim without its subject.
     #[must_use]
     pub fn describe(&self) -> String {
-        format!("{} {}", self.property.words(), self.place())
+        format!("{} {}", self.property.describe(), self.describe_domain())
     }
 }

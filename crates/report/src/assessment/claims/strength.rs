@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
-use crate::assessment::table::Mark;
-use crumple_world::sim::Unanswered;
+use crate::assessment::table::CellMark;
+use crumple_world::sim::FailedControllerRuns;
 
 /// Least confidence, in percent, with which counting decides a claim.
 pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;
@@ -156,10 +156,10 @@ impl Strength {
     /// The same where in some of the runs, which are not among the `failures`, the controller gave no answer. Of a claim about contacts that
     /// is a failure (`refutes`); of one about how it drives, nothing to go by.
     #[must_use]
-    pub(crate) fn from_counts_with_unanswered(failures: u64, runs: u64, unanswered: Option<&Unanswered>, refutes: bool) -> Self {
+    pub(crate) fn from_counts_with_unanswered(failures: u64, runs: u64, unanswered: Option<&FailedControllerRuns>, refutes: bool) -> Self {
         match unanswered {
-            None => Self::of(failures, runs),
-            Some(Unanswered { runs: unanswered, because }) => {
+            None => Self::from_counts(failures, runs),
+            Some(FailedControllerRuns { runs: unanswered, because }) => {
                 Self::Unanswered { unanswered: *unanswered, failures, runs, because: because.clone(), refutes }
             }
         }
@@ -201,7 +201,7 @@ impl Strength {
     #[must_use]
     pub(crate) fn is_refutation(&self) -> bool {
         match self {
-            Self::Refuted { .. } | Self::Found { .. } | Self::Defeated { .. } | Self::Exceeded { .. } => true,
+            Self::Refuted { .. } | Self::Falsified { .. } | Self::AttackFound { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
             Self::Unanswered { failures, refutes, .. } => *refutes || *failures > 0,
             _ => false,
@@ -220,14 +220,14 @@ impl Strength {
         let within = |value: f64| value.max(0.0) / (1.0 + value.max(0.0));
         match self {
             Self::Refuted { failures, .. } => 8.0 + within(*failures as f64),
-            Self::Found { failures, .. } => 8.0 + within(*failures as f64),
+            Self::Falsified { failures, .. } => 8.0 + within(*failures as f64),
             Self::Unanswered { unanswered, failures, .. } if self.is_refutation() => {
                 8.0 + within((unanswered + failures) as f64)
             }
             Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
-            Self::Defeated { .. } | Self::Exceeded { .. } | Self::Contradicted => 8.0,
+            Self::AttackFound { .. } | Self::Exceeded { .. } | Self::Contradicted => 8.0,
             Self::Proved { certificates } => 7.0 + within(*certificates as f64),
-            Self::ProvedIn { share_percent } => 6.0 + within(share_percent.value()),
+            Self::PartlyProved { share_percent } => 6.0 + within(share_percent.value()),
             Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
             Self::Counted { confidence_percent, .. } => 4.0 + 0.005 * confidence_percent.value(),
             Self::Compared { own, other, .. } if own > other => 8.0,
@@ -237,23 +237,23 @@ impl Strength {
             Self::Undecided { lower_percent, upper_percent, .. } => {
                 2.0 - within(upper_percent.value() - lower_percent.value())
             }
-            Self::CountedInVain { .. } => 1.2,
+            Self::NotShownByCounting { .. } => 1.2,
             Self::Between { .. } => 1.0,
             Self::Untried => 0.0,
         }
     }
 
-    pub(in crate::assessment) fn mark(&self) -> Mark {
+    pub(in crate::assessment) fn mark(&self) -> CellMark {
         match self.rank() {
-            0 => Mark::Bad,
-            1 => Mark::None,
-            _ => Mark::Good,
+            0 => CellMark::Bad,
+            1 => CellMark::Neutral,
+            _ => CellMark::Good,
         }
     }
 
     pub(in crate::assessment) fn describe(&self) -> String {
         match self {
-            Self::Found { failures, avoidable, because } => {
+            Self::Falsified { failures, avoidable, because } => {
                 let plural = if *failures == 1 { "" } else { "s" };
                 let silent = because.as_ref().map_or(String::new(), |because| format!("; it gave no answer {because}"));
                 format!("refuted: {failures} distinct failure{plural}, {avoidable} avoidable{silent}")
@@ -268,7 +268,7 @@ impl Strength {
             Self::OtherUnanswered { unanswered, runs, because } => {
                 format!("not shown: the other gave no answer in {unanswered} of {runs}: {because}")
             }
-            Self::ProvedIn { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
+            Self::PartlyProved { share_percent } => format!("proved for {share_percent} % of the box, see Proofs"),
             Self::Proved { .. } => "proved under assumptions, see Proofs".to_owned(),
             Self::Tested { runs: 1 } => "tested: one run, and it holds".to_owned(),
             Self::Tested { runs } => format!("tested: 0 of {runs} fail"),
@@ -285,14 +285,14 @@ impl Strength {
                 format!("undecided: {lower_percent} to {upper_percent} %, confidence {confidence_percent} % each")
             }
             Self::Counted { confidence_percent, .. } => format!("shown by counting, confidence {confidence_percent} %"),
-            Self::CountedInVain { runs, .. } => format!("not shown by {runs} counted runs"),
+            Self::NotShownByCounting { runs, .. } => format!("not shown by {runs} counted runs"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
                 std::cmp::Ordering::Less => format!("{own} against {other} of {runs} fail"),
                 std::cmp::Ordering::Equal => format!("not shown: each fails in {own} of {runs}"),
                 std::cmp::Ordering::Greater => format!("refuted: {own} against {other} of {runs} fail"),
             },
             Self::Refuted { failures, runs } => format!("refuted: {failures} of {runs} fail"),
-            Self::Defeated { peak_brake_mps2 } => {
+            Self::AttackFound { peak_brake_mps2 } => {
                 format!("refuted by a leader that brakes at up to {peak_brake_mps2} m/s²")
             }
             Self::Contradicted => "contradicted: see what is beside".to_owned(),

@@ -3,16 +3,16 @@
 use maud::html;
 use serde::Serialize;
 
-use super::certificates::seeing;
-use super::{Limits, ScenarioCases, FailureSearches, Summary, Usefulness};
-use crate::assessment::claims::{Claim, Domain, Property, Rule, Standing, Strength};
-use crate::assessment::document::Document;
+use super::certificates::describe_estimator;
+use super::{AssessmentLimits, ScenarioCases, FailureSearches, ClaimSummary, UsefulnessReport};
+use crate::assessment::claims::{AssuranceClaim, Domain, Property, InferenceRule, ClaimStatus, Strength};
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::prose::prose;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessmentPlan, GateResult, Part};
+use crate::assessment::prose::prose_to_html;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentPlan, GateResult, ReportPart};
 use crate::draw::Svg;
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 
 /// The answer to the question whether the subject touches others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -60,49 +60,49 @@ const MAX_FAILURES_SHOWN: usize = 3;
 impl FirstPage {
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
-        summary: &Summary,
+        summary: &ClaimSummary,
         searches: &FailureSearches,
-        usefulness: Option<&Usefulness>,
-        limits: &Limits,
+        usefulness: Option<&UsefulnessReport>,
+        limits: &AssessmentLimits,
     ) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
-        let mut claims: Vec<(&str, &Claim, &Standing)> = Vec::new();
+        let mut claims: Vec<(&str, &AssuranceClaim, &ClaimStatus)> = Vec::new();
         for row in &summary.claims {
-            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject), row.standings.get(plan.subject))
+            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject), row.statuses.get(plan.subject))
             {
                 claims.push((&row.claim, claim, standing));
             }
         }
         // The strongest first: a refutation outweighs everything.
         claims.sort_by(|a, b| b.2.strength.weight().total_cmp(&a.2.strength.weight()));
-        let chosen = |wanted: &dyn Fn(&Standing) -> bool| -> Vec<(&str, &Claim, &Standing)> {
+        let chosen = |wanted: &dyn Fn(&ClaimStatus) -> bool| -> Vec<(&str, &AssuranceClaim, &ClaimStatus)> {
             claims.iter().copied().filter(|(_, _, standing)| wanted(standing)).collect()
         };
         // What is refuted because a part of it is stands there already.
         let against: Vec<_> = chosen(&|standing| {
-            (standing.strength.is_refutation() && standing.rule != Some(Rule::RefutedInPart))
+            (standing.strength.is_refutation() && standing.rule != Some(InferenceRule::RefutedInPart))
                 || matches!(standing.strength, Strength::Contradicted | Strength::Unanswered { .. })
         });
         let against: Vec<String> =
-            against.into_iter().map(|(words, claim, standing)| refuted(words, claim, standing)).collect();
+            against.into_iter().map(|(words, claim, standing)| describe_refutation(words, claim, standing)).collect();
         let speaks_for: Vec<String> = chosen(&|standing| {
             standing.strength.is_assurance()
-                || matches!(standing.strength, Strength::Tested { .. } | Strength::ProvedIn { .. })
+                || matches!(standing.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
         })
         .into_iter()
-        .map(|(words, _, standing)| format!("{words}: {}", standing.strength.words()))
+        .map(|(words, _, standing)| format!("{words}: {}", standing.strength.describe()))
         .collect();
-        let answer = SafetyAnswer::of(plan, &claims);
+        let answer = SafetyAnswer::new(plan, &claims);
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
         };
         let question =
-            format!("Does `{subject}`, {}, keep off the vehicles around it{compared}?", seeing(plan.config.estimator));
+            format!("Does `{subject}`, {}, keep off the vehicles around it{compared}?", describe_estimator(plan.config.estimator));
         Self {
             question,
             answer,
-            words: format!("{} {}", answer.words(plan, subject, &claims, &against), safer(plan, &claims))
+            answer_text: format!("{} {}", answer.describe(plan, subject, &claims, &against), describe_comparison(plan, &claims))
                 .trim_end()
                 .to_owned(),
             against,
@@ -110,19 +110,19 @@ impl FirstPage {
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             // Gates judge all other parts, so that they are known last.
             gates: Vec::new(),
-            worst: searches.worst_failures(subject, MOST_SHOWN),
-            sides: usefulness.map(|usefulness| usefulness.figure("both-sides")),
+            worst_failures: searches.worst_failures(subject, MAX_FAILURES_SHOWN),
+            both_sides_figure: usefulness.map(|usefulness| usefulness.figure("both-sides")),
         }
     }
 }
 
 /// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
-fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> String {
+fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> String {
     let Some(first) = plan.controllers.first().filter(|_| plan.subject != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
     let shown: Vec<_> =
         compared.filter(|(.., standing)| standing.strength.is_assurance()).map(|(_, claim, _)| claim).collect();
-    let spaces: Vec<_> = shown.iter().map(|claim| claim.place()).collect();
+    let spaces: Vec<_> = shown.iter().map(|claim| claim.describe_domain()).collect();
     match spaces.as_slice() {
         [] => format!("That it fails less often than `{}` is not shown.", first.name),
         spaces => {
@@ -136,35 +136,35 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing
 }
 
 /// Whether it is an answer to the question, through the estimator that was asked about.
-fn is_relevant_claim(plan: &AssessmentPlan, claim: &Claim) -> bool {
+fn is_relevant_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> bool {
     matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
         && claim.subject.estimator == plan.config.estimator
 }
 
 /// What a claim that does not hold comes to, what happens before how often.
-fn describe_refutation(words: &str, claim: &Claim, standing: &Standing) -> String {
-    if let (Domain::AnyLeaderBraking { scenario }, Strength::Defeated { peak_brake_mps2 }) =
+fn describe_refutation(words: &str, claim: &AssuranceClaim, standing: &ClaimStatus) -> String {
+    if let (Domain::AnyLeaderBraking { scenario }, Strength::AttackFound { peak_brake_mps2 }) =
         (&claim.domain, &standing.strength)
     {
         let what = claim.property.describe_violation();
         return format!("{what} in {} where its leader brakes at up to {peak_brake_mps2} m/s² instead", scenario.name);
     }
-    let strength = standing.strength.words();
+    let strength = standing.strength.describe();
     // Nothing of what is claimed not to happen did.
     if let Strength::Unanswered { failures: 0, refutes: true, .. } = standing.strength {
         return format!(
             "a controller without an answer {}: it {}",
-            claim.place(),
+            claim.describe_domain(),
             strength.trim_start_matches("refuted: ")
         );
     }
     match strength.strip_prefix("refuted") {
         Some(how) => {
             let how = how.strip_prefix(" by").map_or_else(|| how.to_owned(), |by| format!(": with{by}"));
-            format!("{} {}{how}", claim.property.describe_violation(), claim.place())
+            format!("{} {}{how}", claim.property.describe_violation(), claim.describe_domain())
         }
         None if standing.strength.is_refutation() => {
-            format!("{} {}: {strength}", claim.property.describe_violation(), claim.place())
+            format!("{} {}: {strength}", claim.property.describe_violation(), claim.describe_domain())
         }
         None => format!("{words}: {strength}"),
     }
@@ -173,11 +173,11 @@ fn describe_refutation(words: &str, claim: &Claim, standing: &Standing) -> Strin
 impl SafetyAnswer {
     /// A run that fails weighs more than any evidence beside it; what was shown through another estimator, or of the vehicle
     /// ahead alone, answers nothing.
-    fn new(plan: &AssessmentPlan, claims: &[(&str, &Claim, &Standing)]) -> Self {
-        let about = claims.iter().filter(|(_, claim, _)| is_asked(plan, claim));
+    fn new(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> Self {
+        let about = claims.iter().filter(|(_, claim, _)| is_relevant_claim(plan, claim));
         let about: Vec<_> = about.map(|(.., standing)| *standing).collect();
-        let refutes = |standing: &&Standing| {
-            standing.strength.is_refutation() || standing.beside.iter().any(|beside| beside.strength.is_refutation())
+        let refutes = |standing: &&ClaimStatus| {
+            standing.strength.is_refutation() || standing.secondary.iter().any(|beside| beside.strength.is_refutation())
         };
         if about.iter().any(refutes) {
             Self::NotSafe
@@ -195,27 +195,27 @@ impl SafetyAnswer {
         self,
         plan: &AssessmentPlan,
         subject: &str,
-        claims: &[(&str, &Claim, &Standing)],
+        claims: &[(&str, &AssuranceClaim, &ClaimStatus)],
         against: &[String],
     ) -> String {
         let besides = || against.first().map_or(String::new(), |first| format!(" What speaks against it: {first}."));
         match self {
             Self::NotSafe => {
-                let is_why = |(_, claim, standing): &&(&str, &Claim, &Standing)| {
-                    is_asked(plan, claim)
+                let is_why = |(_, claim, standing): &&(&str, &AssuranceClaim, &ClaimStatus)| {
+                    is_relevant_claim(plan, claim)
                         && standing.strength.is_refutation()
-                        && standing.rule != Some(Rule::RefutedInPart)
+                        && standing.rule != Some(InferenceRule::RefutedInPart)
                 };
-                let why = claims.iter().find(is_why).map(|(words, claim, standing)| refuted(words, claim, standing));
+                let why = claims.iter().find(is_why).map(|(words, claim, standing)| describe_refutation(words, claim, standing));
                 let why = why.unwrap_or_else(|| "a run of a part that refutes the whole".to_owned());
                 format!("Not safe: `{subject}` fails in runs of this report, as in {why}.")
             }
             Self::SafeInDomain => {
                 let assured = claims
                     .iter()
-                    .filter(|(_, claim, standing)| is_asked(plan, claim) && standing.strength.is_assurance());
+                    .filter(|(_, claim, standing)| is_relevant_claim(plan, claim) && standing.strength.is_assurance());
                 let assured: Vec<_> =
-                    assured.map(|(words, _, standing)| format!("{words} ({})", standing.strength.words())).collect();
+                    assured.map(|(words, _, standing)| format!("{words} ({})", standing.strength.describe())).collect();
                 format!(
                     "Safe in this domain and to this strength, and no further: of `{subject}` there is {}. It touched nobody in \
                      the runs of this report; of other situations nothing is said.{}",
@@ -244,10 +244,10 @@ impl FirstPage {
     #[must_use]
     pub fn to_plain_text(&self) -> String {
         let list = |head: &str, lines: &[String]| {
-            let lines: String = lines.iter().map(|line| format!("  {}\n", Terminal(line))).collect();
+            let lines: String = lines.iter().map(|line| format!("  {}\n", TerminalText(line))).collect();
             if lines.is_empty() { String::new() } else { format!("{head}\n{lines}") }
         };
-        let text = format!("{}\n{}\n", Terminal(&self.question), Terminal(&self.words));
+        let text = format!("{}\n{}\n", TerminalText(&self.question), TerminalText(&self.answer_text));
         text + &list("against it:", &self.against) + &list("for it:", &self.speaks_for)
     }
 
@@ -256,7 +256,7 @@ impl FirstPage {
     pub fn gates_to_plain_text(&self) -> String {
         let line = |gate: &GateResult| {
             let verdict = if gate.holds { "holds " } else { "FAILED" };
-            format!("  {verdict}  {}\n", Terminal(&format!("{} ({})", gate.gate, gate.because)))
+            format!("  {verdict}  {}\n", TerminalText(&format!("{} ({})", gate.gate, gate.because)))
         };
         let lines: String = self.gates.iter().map(line).collect();
         if lines.is_empty() { lines } else { format!("gates:\n{lines}{}\n", self.describe_gates()) }
@@ -272,11 +272,11 @@ impl FirstPage {
         }
     }
 
-    fn gate_table(&self) -> Table {
+    fn gate_table(&self) -> ReportTable {
         let words = |gate: &GateResult| format!("{}: {}", if gate.holds { "holds" } else { "failed" }, gate.because);
-        Table::of(
+        ReportTable::from_items(
             &self.gates,
-            &[("gate", &|gate| Cell::text(&gate.gate)), ("result", &|gate| Cell::judged(words(gate), gate.holds))],
+            &[("gate", &|gate| ReportCell::text(&gate.gate)), ("result", &|gate| ReportCell::with_verdict(words(gate), gate.holds))],
         )
     }
 }
@@ -287,48 +287,48 @@ const GATES_NOTE: &str =
 const AUDIENCE: &str = "For whoever decides whether a driving controller may go on to the next stage: what was asked, what the answer \
     is and how strong, where to look first. The parts that follow hold the evidence, the appendix lists and methods.";
 
-impl Part for FirstPage {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for FirstPage {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("answer", "The answer".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(AUDIENCE);
-        out.html(html! { p { b { (prose(&self.question)) } } p class=(self.answer.class()) { (prose(&self.words)) } });
-        out.markdown().paragraph(Inline::strong(&self.question));
-        out.markdown().paragraph(self.words.as_str());
+        out.push_html(html! { p { b { (prose_to_html(&self.question)) } } p class=(self.answer.css_class()) { (prose_to_html(&self.answer_text)) } });
+        out.markdown_mut().paragraph(Inline::strong(&self.question));
+        out.markdown_mut().paragraph(self.answer_text.as_str());
         if !self.gates.is_empty() {
-            out.html(html! { h3 { "Gates" } p { b { (self.describe_gates()) } " " (GATES_NOTE) } });
-            out.markdown().paragraph(format!("{} {GATES}", self.describe_gates()));
+            out.push_html(html! { h3 { "Gates" } p { b { (self.describe_gates()) } " " (GATES_NOTE) } });
+            out.markdown_mut().paragraph(format!("{} {GATES_NOTE}", self.describe_gates()));
             out.table(&self.gate_table());
         }
         let sides = [
             ("Against it", &self.against, "nothing that was found"),
             ("For it", &self.speaks_for, "nothing that was shown"),
         ];
-        out.html(html! {
+        out.push_html(html! {
             div.sides { @for (title, lines, nothing) in sides {
-                div { h3 { (title) } ul { @for line in lines { li { (prose(line)) } } @if lines.is_empty() { li { (nothing) } } } }
+                div { h3 { (title) } ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { (nothing) } } } }
             } }
-            @if let Some(sides) = &self.sides {
+            @if let Some(sides) = &self.both_sides_figure {
                 h3 { "Both sides of each controller" }
                 p { "What it avoids where something threatens, and what it does where nothing does: the nearer to the left, the better." }
                 figure { (sides) }
             }
-            @if !self.worst.is_empty() {
+            @if !self.worst_failures.is_empty() {
                 h3 { "Its severest failures" }
-                div.worst { @for cases in &self.worst { @for case in &cases.cases {
-                    figure { (cases.figure(case)) figcaption { (case.verdict.words()) " · " (cases.replay_html(case)) } }
+                div.worst { @for cases in &self.worst_failures { @for case in &cases.cases {
+                    figure { (cases.figure(case)) figcaption { (case.verdict.describe()) " · " (cases.replay_html(case)) } }
                 } } }
             }
             h3 { "Taken for granted" }
             ul.short { @for line in &self.assumed { li { (line) } } }
         });
         for (title, lines, _) in sides {
-            out.markdown().paragraph(format!("{title}:"));
-            out.markdown().list(lines.iter().map(String::as_str));
+            out.markdown_mut().paragraph(format!("{title}:"));
+            out.markdown_mut().list(lines.iter().map(String::as_str));
         }
-        out.markdown().paragraph("Taken for granted:");
-        out.markdown().list(self.assumed.iter().copied());
+        out.markdown_mut().paragraph("Taken for granted:");
+        out.markdown_mut().list(self.assumed.iter().copied());
     }
 }

@@ -8,15 +8,15 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use super::certificates::seeing;
-use super::{ClaimRow, Limits, Summary};
-use crate::assessment::claims::{Claim, Property, Standing, Strength};
-use crate::assessment::document::Document;
+use super::certificates::describe_estimator;
+use super::{ClaimRow, AssessmentLimits, ClaimSummary};
+use crate::assessment::claims::{AssuranceClaim, Property, ClaimStatus, Strength};
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::prose::prose;
-use crate::assessment::table::Mark;
-use crate::assessment::{AssessmentPlan, Part};
-use crumple_core::quoted::Terminal;
+use crate::assessment::prose::prose_to_html;
+use crate::assessment::table::CellMark;
+use crate::assessment::{AssessmentPlan, ReportPart};
+use crumple_core::quoting::TerminalText;
 
 /// The argument, its elements in the order of their identifiers' numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -111,51 +111,51 @@ impl ArgumentBuilder {
     }
 
     fn add_support(&mut self, id: &str, by: String) {
-        self.change(id, |element| element.supported_by.push(by));
+        self.update(id, |element| element.supported_by.push(by));
     }
 
     /// A goal below a strategy, with what speaks for it or against it.
     fn add_claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
         let goal = self.add(GsnElementKind::Goal, proposition.text());
-        self.support(strategy, goal.clone());
-        let strength = &proposition.standing.strength;
+        self.add_support(strategy, goal.clone());
+        let strength = &proposition.status.strength;
         match strength.mark() {
-            _ if matches!(strength, Strength::ProvedIn { .. }) => self.solution(&goal, proposition),
-            Mark::Good => self.solution(&goal, proposition),
-            Mark::Bad => {
-                let counter = self.add(GsnElementKind::Goal, format!("This does not hold: {}", strength.words()));
-                self.solution(&counter, proposition);
-                self.change(&counter, |element| element.challenges = Some(goal.clone()));
-                self.change(&goal, |element| element.defeated = true);
+            _ if matches!(strength, Strength::PartlyProved { .. }) => self.add_solution(&goal, proposition),
+            CellMark::Good => self.add_solution(&goal, proposition),
+            CellMark::Bad => {
+                let counter = self.add(GsnElementKind::Goal, format!("This does not hold: {}", strength.describe()));
+                self.add_solution(&counter, proposition);
+                self.update(&counter, |element| element.challenges = Some(goal.clone()));
+                self.update(&goal, |element| element.defeated = true);
             }
-            Mark::None | Mark::Number => self.change(&goal, |element| element.undeveloped = true),
+            CellMark::Neutral | CellMark::Number => self.update(&goal, |element| element.undeveloped = true),
         }
     }
 
     /// Where the evidence stands.
     fn add_solution(&mut self, below: &str, proposition: &Proposition<'_>) {
-        let solution = self.add(GsnElementKind::Solution, proposition.standing.words());
-        self.change(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
-        self.support(below, solution);
+        let solution = self.add(GsnElementKind::Solution, proposition.status.describe());
+        self.update(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
+        self.add_support(below, solution);
     }
 }
 
 /// A claim about the subject, as a sentence that is true or false.
 struct Proposition<'a> {
     row: &'a ClaimRow,
-    claim: &'a Claim,
-    status: &'a Standing,
+    claim: &'a AssuranceClaim,
+    status: &'a ClaimStatus,
 }
 
 impl Proposition<'_> {
     fn text(&self) -> String {
         let name = &self.claim.subject.controller.name;
-        match self.standing.strength {
-            Strength::ProvedIn { share_percent } => {
-                let seeing = seeing(self.claim.subject.estimator);
+        match self.status.strength {
+            Strength::PartlyProved { share_percent } => {
+                let seeing = describe_estimator(self.claim.subject.estimator);
                 format!(
                     "{name}, {seeing}, has no contact in {share_percent} % of starts: {}",
-                    self.claim.domain.words()
+                    self.claim.domain.describe()
                 )
             }
             _ => format!("of {name} it is claimed: {}", self.row.claim),
@@ -200,7 +200,7 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
         |property| {
             matches!(
                 property,
-                Property::NoNeedlessBraking | Property::KeepsUp | Property::StringStable | Property::Keeps { .. }
+                Property::NoUnnecessaryBraking | Property::KeepsUp | Property::StringStable | Property::Satisfies { .. }
             )
         },
     ),
@@ -211,39 +211,39 @@ fn describe_rate_domains(about: &[&Proposition<'_>]) -> String {
     let is_rate = |one: &&&Proposition<'_>| {
         matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
     };
-    let mut places: Vec<String> = about.iter().filter(is_rate).map(|one| one.claim.place()).collect();
+    let mut places: Vec<String> = about.iter().filter(is_rate).map(|one| one.claim.describe_domain()).collect();
     places.dedup();
     if places.is_empty() { String::new() } else { format!(", {}", places.join(" and ")) }
 }
 
 impl Argument {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, summary: &Summary, limits: &Limits) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, summary: &ClaimSummary, limits: &AssessmentLimits) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut building = ArgumentBuilder::default();
         let all: Vec<_> = summary
             .claims
             .iter()
             .filter_map(|row| {
-                let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.standings.get(plan.subject)?);
-                Some(Proposition { row, claim, standing })
+                let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.statuses.get(plan.subject)?);
+                Some(Proposition { row, claim, status: standing })
             })
             .collect();
         let top = building.add(
             GsnElementKind::Goal,
             format!(
                 "{subject}, {}, keeps off the vehicles around it in the situations of this report",
-                seeing(plan.config.estimator)
+                describe_estimator(plan.config.estimator)
             ),
         );
         let over = building
             .add(GsnElementKind::Strategy, "over avoiding contact, over how rarely it fails, and over what it costs");
-        building.support(&top, over.clone());
+        building.add_support(&top, over.clone());
         let mut around = vec![building.add(
             GsnElementKind::Context,
             "one lane of vehicles on a straight road, as the simulation has them; situations are named in each goal",
         )];
         let mut domains: Vec<String> = Vec::new();
-        for domain in all.iter().map(|one| format!("situations: {}", one.claim.domain.words())) {
+        for domain in all.iter().map(|one| format!("situations: {}", one.claim.domain.describe())) {
             if !domains.contains(&domain) {
                 around.push(building.add(GsnElementKind::Context, domain.clone()));
                 domains.push(domain);
@@ -251,21 +251,21 @@ impl Argument {
         }
         for limit in &limits.assumptions {
             let id = building.add(GsnElementKind::Assumption, limit.assumed);
-            building.change(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
+            building.update(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
             around.push(id);
         }
-        building.change(&top, |element| element.in_context_of = around);
+        building.update(&top, |element| element.in_context_of = around);
         for (says, by, is_about) in GOALS {
             let about: Vec<_> = all.iter().filter(|one| is_about(&one.claim.property)).collect();
             if about.is_empty() {
                 continue;
             }
             let goal = building.add(GsnElementKind::Goal, format!("{subject} {says}{}", describe_rate_domains(&about)));
-            building.support(&over, goal.clone());
+            building.add_support(&over, goal.clone());
             let strategy = building.add(GsnElementKind::Strategy, by);
-            building.support(&goal, strategy.clone());
+            building.add_support(&goal, strategy.clone());
             for proposition in about {
-                building.claim(&strategy, proposition);
+                building.add_claim(&strategy, proposition);
             }
         }
         building.propagate_defeat();
@@ -297,7 +297,7 @@ impl Argument {
 impl GsnElement {
     fn write_yaml(&self, out: &mut String) -> std::fmt::Result {
         // A JSON string is a YAML string too, unless it needs two halves for a character.
-        let quoted = |text: &str| serde_json::Value::from(Terminal(text).to_string()).to_string();
+        let quoted = |text: &str| serde_json::Value::from(TerminalText(text).to_string()).to_string();
         writeln!(out, "{}:\n  text: {}", self.id, quoted(&self.text))?;
         for (key, ids) in [("supportedBy", &self.supported_by), ("inContextOf", &self.in_context_of)] {
             if !ids.is_empty() {
@@ -323,16 +323,16 @@ const INTRODUCTION: &str = "The verdict as a goal structure: a goal is claimed, 
     evidence. A goal with a cross is defeated: a counterexample challenges it, and stands beside it with evidence of its \
     own; or it rests on a goal that is defeated. A goal with a diamond has no evidence. The same argument is in assessment.gsn.yaml.";
 
-impl Part for Argument {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for Argument {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("argument", "Argument".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         let mut entries = Vec::new();
         if let Some(top) = self.elements.first() {
-            self.outline(top, 0, &mut entries);
+            self.push_outline(top, 0, &mut entries);
         }
         out.outline(entries);
     }
@@ -346,10 +346,10 @@ impl Argument {
             _ => "",
         };
         let words = format!(" {sign}{}", element.text);
-        entries.push((depth, Inline::strong(&element.id).and(&words), html! { b { (element.id) } (prose(&words)) }));
+        entries.push((depth, Inline::strong(&element.id).and_prose(&words), html! { b { (element.id) } (prose_to_html(&words)) }));
         let below = element.supported_by.iter().chain(&element.in_context_of).filter_map(|id| self.find(id));
         for next in below.chain(self.challenges_to(&element.id)) {
-            self.outline(next, depth + 1, entries);
+            self.push_outline(next, depth + 1, entries);
         }
     }
 }

@@ -1,23 +1,23 @@
 //! Certificates of an assessment: those of kernels, those counted for it, those that were given.
 
-use crumple_verify::reach::Ranges;
-use crumple_verify::{Accepted, Assumption, Certificate, Rate, Reach, Registration, Statement, WorkLimit};
+use crumple_verify::reach::InitialRanges;
+use crumple_verify::{ProvedClaim, Assumption, Certificate, RateClaim, ReachClaim, Registration, Statement, WorkLimit};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::assessment::claims::{
-    Claim, Domain, Evidence, Known, MIN_CONFIDENCE_PERCENT, Property, Source, Strength, Subject,
+    AssuranceClaim, Domain, Evidence, ContentId, MIN_CONFIDENCE_PERCENT, Property, EvidenceSource, Strength, Subject,
 };
 use crate::assessment::figure_layout::{NamedSpace, file_stem};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
 use crumple_core::digest::sha256;
 use crumple_evidence::{
-    CertificateReport, RateInterval, checker_file, kernel_certificate, lies_within, shipped_kernels,
+    CertificateReport, RateInterval, checker_file, kernel_certificate, check_covers_scenario, shipped_kernels,
 };
-use crumple_world::control::{Kernel, MARGIN_M, ShieldSettings};
+use crumple_world::control::{ViabilityKernel, MIN_MARGIN_M, ShieldSettings};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in, built_in_names};
+use crumple_world::scenario::{PAPER_STEP_S, Scenario, VehicleClass, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// A certificate and what the checker said of it.
@@ -50,7 +50,7 @@ pub struct CheckedCertificate {
     kernel: Option<Statement>,
     /// The statement, if it is one about a rate and every failure that it counts is one of the controller.
     #[serde(skip)]
-    rate: Option<Rate>,
+    rate: Option<RateClaim>,
 }
 
 /// What the checker said of a certificate.
@@ -87,7 +87,7 @@ pub enum CertificateStatus {
 #[non_exhaustive]
 pub enum CertificateSubject {
     /// Of a claim about one of the report's controllers: the same by the hashes of all that the certificate names.
-    Claim(Box<Claim>),
+    Claim(Box<AssuranceClaim>),
     /// Of the kernel that shields of a pair of brake limits use.
     Kernel,
     /// Of a scene or a profile, and of no controller.
@@ -105,11 +105,11 @@ impl CertificateSubject {
         match self {
             Self::Claim(claim) => {
                 let Subject { controller, estimator } = &claim.subject;
-                format!("{}, {}", controller.name, seeing(*estimator))
+                format!("{}, {}", controller.name, describe_estimator(*estimator))
             }
             Self::Kernel => "shields".to_owned(),
             Self::NoController => "no controller".to_owned(),
-            Self::Foreign { because } => format!("nobody here: {because}"),
+            Self::Unrelated { because } => format!("nobody here: {because}"),
         }
     }
 }
@@ -137,19 +137,19 @@ impl CertificateStatus {
             Ok(accepted) => accepted,
             Err(reason) => return Self::Rejected { reason },
         };
-        Self::Accepted { shown: shown(&accepted), strength: strength(&accepted, &certificate.statement, counts_others) }
+        Self::Accepted { shown: describe_accepted(&accepted), strength: accepted_strength(&accepted, &certificate.statement, counts_others) }
     }
 }
 
 /// How strongly an accepted statement speaks for the claim that it makes of a controller.
-fn accepted_strength(accepted: &Accepted, statement: &Statement, counts_others: bool) -> Option<Strength> {
+fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_others: bool) -> Option<Strength> {
     match accepted {
-        Accepted::Rate { at_most, .. } => match statement {
-            Statement::Rate(rate) => Some(between(rate, *at_most, counts_others)),
+        ProvedClaim::Rate { max_rate: at_most, .. } => match statement {
+            Statement::Rate(rate) => Some(rate_strength(rate, *at_most, counts_others)),
             _ => None,
         },
         // With little confidence it shows nothing.
-        Accepted::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
+        ProvedClaim::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
             .filter(|percent| percent.value() >= MIN_CONFIDENCE_PERCENT)
             .and_then(|confidence_percent| match statement {
                 Statement::Comparison(two) => {
@@ -158,24 +158,24 @@ fn accepted_strength(accepted: &Accepted, statement: &Statement, counts_others: 
                 _ => None,
             }),
         // A cell with a start that ends in contact.
-        Accepted::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
+        ProvedClaim::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
         }
-        Accepted::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
-        Accepted::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
+        ProvedClaim::Reach { verified_share, .. } if *verified_share >= 1.0 => Some(Strength::Proved { certificates: 1 }),
+        ProvedClaim::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
             .filter(|percent| percent.value() > 0.0)
-            .map(|share_percent| Strength::ProvedIn { share_percent }),
+            .map(|share_percent| Strength::PartlyProved { share_percent }),
         _ => None,
     }
 }
 
 /// The bounds that counted runs give: from above as the certificate states it, from below by the same count at the same
 /// confidence, unless others' contacts are among what it counts.
-pub(super) fn rate_strength(rate: &Rate, at_most: f64, counts_others: bool) -> Strength {
+pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool) -> Strength {
     let Registration { runs, confidence, .. } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
     Strength::Between {
-        lower_percent: Rounded::down(100.0 * RateInterval::exact(failures, runs, 2.0 * confidence - 1.0).lower),
+        lower_percent: Rounded::down(100.0 * RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0).lower),
         upper_percent: Rounded::up(100.0 * at_most),
         confidence_percent: Rounded::down(100.0 * confidence),
         runs,
@@ -194,7 +194,7 @@ impl CheckedCertificate {
         let (
             CertificateStatus::Accepted { strength: Some(strength), .. } | CertificateStatus::NothingShown { strength, .. },
             CertificateSubject::Claim(claim),
-        ) = (&self.status, &self.speaks_of)
+        ) = (&self.status, &self.subject)
         else {
             return Vec::new();
         };
@@ -203,30 +203,30 @@ impl CheckedCertificate {
     }
 
     /// The runs that a rate was counted on, as a domain; a failure among them is one in its space.
-    fn counted_runs_evidence(&self, claim: &Claim) -> Option<Evidence> {
+    fn counted_runs_evidence(&self, claim: &AssuranceClaim) -> Option<Evidence> {
         let (Some(rate), Domain::Space { space }) = (&self.rate, &claim.domain) else { return None };
         let (seed, draws) = (rate.registration.configuration.get("seed")?.parse().ok()?, rate.registration.runs);
         let domain = Domain::Draws { space: space.clone(), seed, draws };
-        let claim = Claim { subject: claim.subject.clone(), property: Property::NoContact, domain };
-        Some(Evidence { claim, strength: Strength::of(rate.failures, draws), source: self.source() })
+        let claim = AssuranceClaim { subject: claim.subject.clone(), property: Property::NoContact, domain };
+        Some(Evidence { claim, strength: Strength::from_counts(rate.failures, draws), source: self.source() })
     }
 
-    pub(super) fn source(&self) -> Source {
+    pub(super) fn source(&self) -> EvidenceSource {
         let (file, sha256) = (Some(self.file.clone()), Some(self.sha256.clone()));
-        Source { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
+        EvidenceSource { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
     }
 }
 
 /// What was accepted, with numbers a reader can take in: gaps and shares rounded down, rates up.
-fn describe_accepted(accepted: &Accepted) -> String {
+fn describe_accepted(accepted: &ProvedClaim) -> String {
     let down = |value: f64| (100.0 * value).floor() / 100.0;
     match accepted {
-        Accepted::Rate { at_most, confidence } => {
+        ProvedClaim::Rate { max_rate: at_most, confidence } => {
             let (percent, confidence_percent) = (100.0 * at_most + 5e-5, 100.0 * confidence);
             format!("by its counts, at most {percent:.4} % of runs fail, at confidence {confidence_percent} %")
         }
         // Where nothing is verified, no gap is bounded either.
-        Accepted::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
+        ProvedClaim::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
             let falsified = match down(100.0 * falsified_share) {
                 share if share > 0.0 => {
                     format!("; {share:.2} % of its volume is in cells with a start that ends in contact")
@@ -235,7 +235,7 @@ fn describe_accepted(accepted: &Accepted) -> String {
             };
             format!("nothing was verified of any part of the box, and so no gap is bounded{falsified}")
         }
-        Accepted::Reach { verified_share, smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
+        ProvedClaim::Reach { verified_share, min_gap_m: smallest_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => {
             format!(
                 "from {:.2} % of the box's volume nobody touches, and no gap is ever smaller than {:.2} m, for {horizon_s} s{}",
                 down(100.0 * verified_share),
@@ -243,11 +243,11 @@ fn describe_accepted(accepted: &Accepted) -> String {
                 limit.map_or_else(String::new, |limit| format!(", however the leader brakes at up to {limit} m/s²"))
             )
         }
-        Accepted::GapBound { gap_m, horizon_s } => format!(
+        ProvedClaim::GapBound { gap_m, horizon_s } => format!(
             "whatever is done, some gap gets as small as {:.2} m within {horizon_s} s",
             (100.0 * gap_m).ceil() / 100.0
         ),
-        Accepted::Unavoidable { overlap_m, horizon_s } => format!(
+        ProvedClaim::Unavoidable { overlap_m, horizon_s } => format!(
             "whatever is done, two vehicles would overlap by {:.2} m or more within {horizon_s} s",
             down(*overlap_m)
         ),
@@ -259,19 +259,19 @@ fn describe_accepted(accepted: &Accepted) -> String {
 /// what was given.
 pub(super) fn gather_certificates<'a>(
     plan: &AssessmentPlan,
-    work: &Work<'_>,
+    work: &GatherContext<'_>,
     scenes: impl Iterator<Item = (&'a str, &'a Certificate)>,
 ) -> Result<Vec<CheckedCertificate>, AssessError> {
     let mut proofs = shipped_kernels()
         .into_iter()
-        .map(|(name, certificate)| proof(plan, name, &certificate, None))
+        .map(|(name, certificate)| check_certificate(plan, name, &certificate, None))
         .collect::<Result<Vec<_>, _>>()?;
     let scenes =
-        scenes.map(|(scenario, certificate)| proof(plan, format!("scene-{}", file_stem(scenario)), certificate, None));
+        scenes.map(|(scenario, certificate)| check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None));
     proofs.extend(scenes.collect::<Result<Vec<_>, _>>()?);
-    proofs.extend(super::rate_certificates::gather(plan, work)?);
+    proofs.extend(super::rate_certificates::gather_rate_certificates(plan, work)?);
     let given = plan.certificates.par_iter();
-    let given = given.map(|one| proof(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
+    let given = given.map(|one| check_certificate(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
     Ok(proofs)
 }
@@ -282,17 +282,17 @@ pub(super) fn check_certificate(
     certificate: &Certificate,
     policy: Option<&[u8]>,
 ) -> Result<CheckedCertificate, AssessError> {
-    let text = serde_json::to_string_pretty(certificate).map_err(StoreError::encoding)? + "\n";
+    let text = serde_json::to_string_pretty(certificate).map_err(CacheError::encoding)? + "\n";
     let sha256 = sha256(&text);
-    let counts_others = counts_others(plan, &certificate.statement);
+    let counts_others = includes_others(plan, &certificate.statement);
     // Never from what is kept: checking is cheap, and what lies on a disk can be edited.
-    let status = CertificateStatus::of(certificate, policy, counts_others);
+    let status = CertificateStatus::check(certificate, policy, counts_others);
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),
-        about: about(plan, &name, certificate, policy),
+        about: describe_statement(plan, &name, certificate, policy),
         file: format!("certificates/{name}.json"),
         sha256,
-        speaks_of: speaks_of(plan, &name, certificate, policy),
+        subject: certificate_subject(plan, &name, certificate, policy),
         status,
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
@@ -317,8 +317,8 @@ fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certifica
             format!("{first} against {second} in {} runs of space `{}`", two.registration.runs, of("space"))
         }
         Statement::Reach(reach) => {
-            let ranges = ranges(reach).join(", ");
-            format!("{}: {ranges}", initial_states(plan, name, (certificate, reach), policy).name)
+            let ranges = describe_ranges(reach).join(", ");
+            format!("{}: {ranges}", initial_states_id(plan, name, (certificate, reach), policy).name)
         }
         Statement::Kernel(_) => "any two vehicles of these classes, on a dry road".to_owned(),
         Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
@@ -327,9 +327,9 @@ fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certifica
 }
 
 /// What a box spans, in the order of the certificate.
-fn describe_ranges(reach: &Reach) -> Vec<String> {
-    let Ranges { gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, .. } = reach.ranges;
-    let Ranges { follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_steps, .. } = reach.ranges;
+fn describe_ranges(reach: &ReachClaim) -> Vec<String> {
+    let InitialRanges { gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, .. } = reach.ranges;
+    let InitialRanges { follower_speed_mps, leader_brake_mps2, follower_brake_mps2, onset_steps, .. } = reach.ranges;
     let in_seconds = |steps: f64| steps * reach.step_s;
     let all = [
         ("gap ahead", "m", (gap_ahead_m.low(), gap_ahead_m.high())),
@@ -354,20 +354,20 @@ fn describe_ranges(reach: &Reach) -> Vec<String> {
 
 fn certificate_subject(plan: &AssessmentPlan, name: &str, certificate: &Certificate, policy: Option<&[u8]>) -> CertificateSubject {
     match &certificate.statement {
-        Statement::Rate(rate) => registered(plan, &rate.registration),
-        Statement::Comparison(two) => registered(plan, &two.registration),
+        Statement::Rate(rate) => registered_subject(plan, &rate.registration),
+        Statement::Comparison(two) => registered_subject(plan, &two.registration),
         // The policy or network as it is, seeing the true state: a shield before it makes another controller.
         Statement::Reach(reach) => {
             let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
             let is_it = |one: &NamedController| digest(one).as_deref() == Some(reach.policy_sha256.as_str());
             let place = plan.controllers.iter().position(is_it);
             match place.and_then(|place| plan.claimant(place, EstimatorKind::Truth)) {
-                Some(subject) => CertificateSubject::Claim(Box::new(Claim {
+                Some(subject) => CertificateSubject::Claim(Box::new(AssuranceClaim {
                     subject,
                     property: Property::NoContact,
-                    domain: Domain::Box { around: initial_states(plan, name, (certificate, reach), policy) },
+                    domain: Domain::Box { around: initial_states_id(plan, name, (certificate, reach), policy) },
                 })),
-                None => CertificateSubject::Foreign { because: "its policy is not among the controllers".to_owned() },
+                None => CertificateSubject::Unrelated { because: "its policy is not among the controllers".to_owned() },
             }
         }
         Statement::Kernel(_) => CertificateSubject::Kernel,
@@ -380,9 +380,9 @@ fn certificate_subject(plan: &AssessmentPlan, name: &str, certificate: &Certific
 fn initial_states_id(
     plan: &AssessmentPlan,
     certificate_name: &str,
-    (certificate, reach): (&Certificate, &Reach),
+    (certificate, reach): (&Certificate, &ReachClaim),
     policy: Option<&[u8]>,
-) -> Known {
+) -> ContentId {
     let mut content = format!(
         "{:?} {:?} {:?} {:?} {:?}",
         reach.step_s, reach.steps, reach.follower_ttc_s, reach.observation_error, reach.ranges
@@ -394,8 +394,8 @@ fn initial_states_id(
         content += &format!(" follower {law:?}");
     }
     let horizon_s = reach.step_s * f64::from(reach.steps);
-    let is_inside = |scenario: &Scenario| lies_within(certificate, scenario, policy).is_ok();
-    let built_in = built_in_names().iter().filter_map(|(name, _)| built_in(name)).find(is_inside);
+    let is_inside = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
+    let built_in = built_in_scenario_names().iter().filter_map(|(name, _)| built_in_scenario(name)).find(is_inside);
     let inside =
         built_in.or_else(|| plan.traffic.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
     let around = match inside {
@@ -403,7 +403,7 @@ fn initial_states_id(
         None => format!("of certificate `{certificate_name}`"),
     };
     let any_braking = if reach.leader_brakes_at_most_mps2.is_some() { ", however the leader brakes," } else { "" };
-    Known {
+    ContentId {
         name: format!("the box of initial states {around}{any_braking} for {horizon_s} s"),
         sha256: sha256(&content),
     }
@@ -419,7 +419,7 @@ fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Opti
 /// nothing of the controller here.
 pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> bool {
     match statement {
-        Statement::Rate(rate) => space_of(plan, &rate.registration).is_some_and(NamedSpace::can_others_collide),
+        Statement::Rate(rate) => find_space(plan, &rate.registration).is_some_and(NamedSpace::can_others_collide),
         _ => false,
     }
 }
@@ -427,12 +427,12 @@ pub(super) fn includes_others(plan: &AssessmentPlan, statement: &Statement) -> b
 /// The claim that a registration fixed, if it is one that this report could have fixed: the same controllers, space and
 /// estimator by their hashes, counted by this release.
 fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> CertificateSubject {
-    let foreign = |because: String| CertificateSubject::Foreign { because };
+    let foreign = |because: String| CertificateSubject::Unrelated { because };
     let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
     if of("crumple") != env!("CARGO_PKG_VERSION") {
         return foreign(format!("it was counted by crumple {}", of("crumple")));
     }
-    let Some(named) = space_of(plan, registration) else {
+    let Some(named) = find_space(plan, registration) else {
         return foreign(format!("its space `{}` is not one that this report draws from", of("space")));
     };
     let Some(&estimator) = EstimatorKind::ALL.iter().find(|one| one.name() == of("estimator")) else {
@@ -463,16 +463,16 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
             None => return foreign(format!("its `{other}` is none of the controllers here")),
         },
     };
-    CertificateSubject::Claim(Box::new(Claim { subject, property, domain }))
+    CertificateSubject::Claim(Box::new(AssuranceClaim { subject, property, domain }))
 }
 
 /// What accepted certificates say of the controllers, and of shields whose kernels they prove.
 pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> Vec<Evidence> {
     let mut all: Vec<_> = proofs.iter().flat_map(CheckedCertificate::evidence).collect();
     for (place, controller) in plan.controllers.iter().enumerate() {
-        let kernels = kernels(controller);
-        let proved = |kernel: &Kernel| {
-            let expected = kernel_certificate(kernel, PAPER_STEP_S, MARGIN_M)?.statement;
+        let kernels = shield_kernels(controller);
+        let proved = |kernel: &ViabilityKernel| {
+            let expected = kernel_certificate(kernel, PAPER_STEP_S, MIN_MARGIN_M)?.statement;
             let is_it = |proof: &&CheckedCertificate| proof.is_accepted() && proof.kernel.as_ref() == Some(&expected);
             proofs.iter().find(is_it)
         };
@@ -480,7 +480,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
         if let (Some(certificates), Some(subject)) = (certificates, plan.claimant(place, plan.config.estimator))
             && let Some(first) = certificates.first()
         {
-            let claim = Claim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
+            let claim = AssuranceClaim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };
             let mut source = first.source();
             source.what = format!("{} certificates of kernels", certificates.len());
             all.push(Evidence { claim, strength: Strength::Proved { certificates: certificates.len() }, source });
@@ -491,7 +491,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
 
 /// The kernels that a shield of this controller uses between vehicles of the classes there are; none if it has no shield, or
 /// one whose error bounds a user set: that those hold is not for this report to say.
-pub(super) fn shield_kernels(controller: &NamedController) -> Vec<Kernel> {
+pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKernel> {
     let ControllerKind::Shielded(shielded) = &controller.kind else { return Vec::new() };
     let ShieldSettings { ahead_brake_mps2, errors } = shielded.settings;
     if errors.is_some() {
@@ -499,13 +499,13 @@ pub(super) fn shield_kernels(controller: &NamedController) -> Vec<Kernel> {
     }
     let limits = VehicleClass::ALL.iter().map(|class| class.max_brake_mps2());
     let ahead: Vec<f64> = ahead_brake_mps2.map_or_else(|| limits.clone().collect(), |limit| vec![limit]);
-    let of = |own_brake_mps2| ahead.iter().map(move |&ahead_brake_mps2| Kernel { own_brake_mps2, ahead_brake_mps2 });
+    let of = |own_brake_mps2| ahead.iter().map(move |&ahead_brake_mps2| ViabilityKernel { own_brake_mps2, ahead_brake_mps2 });
     limits.flat_map(of).collect()
 }
 
 /// Starts inside them, as a domain.
-pub(super) fn kernel_domain(kernels: &[Kernel]) -> Domain {
-    let limits = |kernel: &Kernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
+pub(super) fn kernel_domain(kernels: &[ViabilityKernel]) -> Domain {
+    let limits = |kernel: &ViabilityKernel| [kernel.own_brake_mps2, kernel.ahead_brake_mps2].map(Rounded::new);
     Domain::Kernels { limits_mps2: kernels.iter().map(limits).collect() }
 }
 

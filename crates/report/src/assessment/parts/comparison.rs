@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::assessment::claims::{Claim, Strength};
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{Assessment, EVIDENCE_VERSION, Part};
+use crate::assessment::claims::{AssuranceClaim, Strength};
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentReport, EVIDENCE_VERSION, ReportPart};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::scenario::file::{self, FileError};
@@ -126,7 +126,7 @@ struct SummaryView {
 #[derive(Deserialize)]
 struct ClaimView {
     claim: String,
-    claims: Vec<Option<Claim>>,
+    claims: Vec<Option<AssuranceClaim>>,
     #[serde(rename = "standings")]
     statuses: Vec<ClaimStatusView>,
 }
@@ -194,14 +194,14 @@ impl EvidenceView {
     fn into_facts(self) -> Facts {
         let mut facts = Facts::new();
         for claim in self.summary.claims {
-            let standings = self.summary.controllers.iter().zip(claim.claims).zip(claim.standings);
+            let standings = self.summary.controllers.iter().zip(claim.claims).zip(claim.statuses);
             for ((controller, made), ClaimStatusView { strength }) in standings {
                 let what = format!("{controller}: {}", claim.claim);
                 let domain = made.map_or_else(String::new, |made| sha256(format!("{:?}", made.domain)));
                 // What was not tried is neither better nor worse than anything: it is not there.
                 if strength != Strength::Untried {
                     let is_failure = strength.is_refutation();
-                    facts.insert((what, domain), Fact { score: score(&strength), words: strength.words(), is_failure });
+                    facts.insert((what, domain), Fact { score: score(&strength), description: strength.describe(), is_failure });
                 }
             }
         }
@@ -210,7 +210,7 @@ impl EvidenceView {
             for case in scenario.cases {
                 if let Some(gap_m) = case.min_gap_m {
                     let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
-                    let fact = Fact { score: gap_m, words: format!("{gap_m:.2} m"), is_failure: false };
+                    let fact = Fact { score: gap_m, description: format!("{gap_m:.2} m"), is_failure: false };
                     facts.insert((what, String::new()), fact);
                 }
             }
@@ -224,14 +224,14 @@ impl EvidenceView {
                         AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classed",
                     };
                     let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
-                    let fact = Fact { score: 0.0, words: "found".to_owned(), is_failure: true };
+                    let fact = Fact { score: 0.0, description: "found".to_owned(), is_failure: true };
                     facts.insert((format!("{what}, {class}"), String::new()), fact);
                 }
             }
         }
         for proof in self.proofs.certificates {
             let score = f64::from(matches!(proof.status, super::CertificateStatus::Accepted { .. }));
-            let fact = Fact { score, words: proof.status.words(), is_failure: false };
+            let fact = Fact { score, description: proof.status.describe(), is_failure: false };
             // Another certificate under the same name is another thing.
             let what = format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about);
             facts.insert((what, String::new()), fact);
@@ -245,7 +245,7 @@ fn score(strength: &Strength) -> f64 {
     let within = match strength {
         Strength::Proved { .. } | Strength::Untried => 0.0,
         Strength::Tested { runs } => (*runs as f64).ln_1p(),
-        Strength::ProvedIn { share_percent } => share_percent.value(),
+        Strength::PartlyProved { share_percent } => share_percent.value(),
         Strength::Bounded { upper_percent, .. } | Strength::Undecided { upper_percent, .. } => -upper_percent.value(),
         Strength::Exceeded { lower_percent, .. } => -lower_percent.value(),
         Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
@@ -253,11 +253,11 @@ fn score(strength: &Strength) -> f64 {
             -100.0 * (unanswered + failures) as f64 / (*runs).max(1) as f64
         }
         Strength::OtherUnanswered { .. } => 0.0,
-        Strength::Found { failures, avoidable, .. } => -(0.001 * *failures as f64) - *avoidable as f64,
-        Strength::Defeated { peak_brake_mps2 } => peak_brake_mps2.value(),
+        Strength::Falsified { failures, avoidable, .. } => -(0.001 * *failures as f64) - *avoidable as f64,
+        Strength::AttackFound { peak_brake_mps2 } => peak_brake_mps2.value(),
         Strength::Between { upper_percent, .. } => -upper_percent.value(),
         Strength::Counted { confidence_percent, .. } => confidence_percent.value(),
-        Strength::CountedInVain { .. } => 0.0,
+        Strength::NotShownByCounting { .. } => 0.0,
         Strength::Compared { own, other, runs } => (*other as f64 - *own as f64) / (*runs).max(1) as f64,
         Strength::Contradicted => 0.0,
     };
@@ -267,7 +267,7 @@ fn score(strength: &Strength) -> f64 {
 /// Most bytes of the evidence of an earlier assessment: that of the built-in one takes less than one in fifty of it.
 pub const MAX_EVIDENCE_BYTES: u64 = 64 << 20;
 
-impl Earlier {
+impl EarlierAssessment {
     /// Reads the evidence of an earlier assessment, `assessment.json`.
     ///
     /// # Errors
@@ -296,35 +296,35 @@ impl Earlier {
         }
         let view: EvidenceView = serde_json::from_str(text).map_err(syntax)?;
         let controllers = view.summary.controllers.len();
-        let is_wrong = |claim: &&ClaimView| claim.standings.len() != controllers || claim.claims.len() != controllers;
+        let is_wrong = |claim: &&ClaimView| claim.statuses.len() != controllers || claim.claims.len() != controllers;
         if let Some(claim) = view.summary.claims.iter().find(is_wrong) {
             let problem = format!("summary.claims: `{}` is not about each controller", claim.claim);
             return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
         }
         let config_sha256 = view.provenance.config_sha256.clone();
-        Ok(Self { sha256: sha256(text), config_sha256, facts: view.facts() })
+        Ok(Self { sha256: sha256(text), config_sha256, facts: view.into_facts() })
     }
 }
 
 impl AssessmentComparison {
     /// What changed from `earlier` to `now`; none if the evidence of now cannot be read back, which is a fault of its format.
     #[must_use]
-    pub fn new(earlier: &Earlier, now: &Assessment) -> Option<Self> {
-        let text = now.json().ok()?;
+    pub fn new(earlier: &EarlierAssessment, now: &AssessmentReport) -> Option<Self> {
+        let text = now.to_json().ok()?;
         let view: EvidenceView = serde_json::from_str(&text).ok()?;
         debug_assert_eq!(view.version, EVIDENCE_VERSION);
         let same_configuration = view.provenance.config_sha256 == earlier.config_sha256;
-        Some(Self { same_configuration, ..Self::between(earlier, &view.facts()) })
+        Some(Self { same_configuration, ..Self::from_facts(earlier, &view.into_facts()) })
     }
 
-    fn from_facts(earlier: &Earlier, facts: &Facts) -> Self {
+    fn from_facts(earlier: &EarlierAssessment, facts: &Facts) -> Self {
         let (mut better, mut worse, mut new, mut unchanged) = (Vec::new(), Vec::new(), Vec::new(), 0);
         for (key @ (what, _), fact) in facts {
             let before = earlier.facts.get(key);
             let change = AssessmentChange {
                 what: what.clone(),
-                before: before.map(|before| before.words.clone()),
-                now: Some(fact.words.clone()),
+                before: before.map(|before| before.description.clone()),
+                now: Some(fact.description.clone()),
                 is_failure: fact.is_failure,
             };
             match before.map(|before| fact.score.total_cmp(&before.score)) {
@@ -337,7 +337,7 @@ impl AssessmentComparison {
         let gone = earlier.facts.iter().filter(|(key, _)| !facts.contains_key(*key));
         let gone = gone.map(|((what, _), fact)| AssessmentChange {
             what: what.clone(),
-            before: Some(fact.words.clone()),
+            before: Some(fact.description.clone()),
             now: None,
             is_failure: fact.is_failure,
         });
@@ -366,9 +366,9 @@ impl AssessmentComparison {
         )
     }
 
-    fn table(&self) -> Table {
-        let mut table = Table::new(&["change", "what", "before", "now"]);
-        let dash = |words: &Option<String>| Cell::text(words.as_deref().unwrap_or("–"));
+    fn table(&self) -> ReportTable {
+        let mut table = ReportTable::new(&["change", "what", "before", "now"]);
+        let dash = |words: &Option<String>| ReportCell::text(words.as_deref().unwrap_or("–"));
         for (kind, changes, judged) in [
             ("worse", &self.worse, Some(false)),
             ("better", &self.better, Some(true)),
@@ -376,8 +376,8 @@ impl AssessmentComparison {
             ("gone", &self.gone, None),
         ] {
             for change in changes {
-                let kind = judged.map_or_else(|| Cell::text(kind), |good| Cell::judged(kind, good));
-                table.row(vec![kind, Cell::text(&change.what), dash(&change.before), dash(&change.now)]);
+                let kind = judged.map_or_else(|| ReportCell::text(kind), |good| ReportCell::with_verdict(kind, good));
+                table.push_row(vec![kind, ReportCell::text(&change.what), dash(&change.before), dash(&change.now)]);
             }
         }
         table
@@ -393,13 +393,13 @@ impl AssessmentComparison {
     }
 }
 
-impl Part for AssessmentComparison {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for AssessmentComparison {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("changes", "Since the earlier assessment".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.paragraph(&self.words());
+    fn write(&self, out: &mut ReportDocument) {
+        out.paragraph(&self.describe());
         if !self.is_empty() {
             out.table(&self.table());
         }

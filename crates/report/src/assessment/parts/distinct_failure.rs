@@ -6,11 +6,11 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::failure_searches::CounterexampleFiles;
-use crate::assessment::{Command, Rounded};
-use crate::export::openscenario::{OpenScenario, trajectories};
+use crate::assessment::{CrumpleCommand, Rounded};
+use crate::export::openscenario::{OpenScenario, export_trajectories};
 use crumple_core::digest::sha256;
-use crumple_search::falsify::campaign::{MethodSummary, Summary};
-use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed, Counterexample};
+use crumple_search::falsify::campaign::{MethodSummary, CampaignSummary};
+use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter, Counterexample};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate};
@@ -31,7 +31,7 @@ pub struct MethodResult {
     /// How many of them the controller failed in.
     pub failures: u64,
     /// In how many of those it gave no answer.
-    #[serde(default, skip_serializing_if = "is_none_of_them")]
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub unanswered: u64,
     /// How many ended when vehicles touched that are not under test: they say nothing of the controller.
     pub others: u64,
@@ -39,8 +39,8 @@ pub struct MethodResult {
 
 impl MethodResult {
     /// Of scenarios like `nominal`.
-    pub(super) fn new(method: &MethodSummary, all: &Summary, nominal: &Scenario) -> Self {
-        let own = all.failures.iter().filter(|kind| is_own([kind.front_vehicle, kind.rear_vehicle], nominal));
+    pub(super) fn new(method: &MethodSummary, all: &CampaignSummary, nominal: &Scenario) -> Self {
+        let own = all.failures.iter().filter(|kind| involves_vehicle_under_test([kind.front_vehicle, kind.rear_vehicle], nominal));
         let silent = all.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
         let silent = silent.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method);
         let own: Vec<_> = own.flat_map(|kind| &kind.by_method).filter(|by| by.method == method.method).collect();
@@ -76,7 +76,7 @@ pub struct EscapeFile {
     /// SHA-256 of that file.
     pub sha256: String,
     /// How to see nothing happen.
-    pub replay: Command,
+    pub replay: CrumpleCommand,
     /// The file itself; of what was kept it is among the files that were kept with it.
     #[serde(skip)]
     pub(super) text: String,
@@ -86,7 +86,7 @@ impl EscapeFile {
     /// Beside the file of a counterexample.
     pub(super) fn for_counterexample(counterexample: &str, text: String) -> Self {
         let file = format!("{}-escape.toml", counterexample.trim_end_matches(".toml"));
-        let replay = Command::new(["simulate", file.as_str(), "--expect", "safe"]);
+        let replay = CrumpleCommand::new(["simulate", file.as_str(), "--expect", "safe"]);
         Self { sha256: sha256(&text), file, replay, text }
     }
 }
@@ -100,7 +100,7 @@ pub struct DistinctFailure {
     /// SHA-256 of that file.
     pub sha256: String,
     /// How to see it happen; none of a controller from outside.
-    pub replay: Option<Command>,
+    pub replay: Option<CrumpleCommand>,
     /// What happens.
     pub kind: String,
     /// Of a controller that gave no answer: when and why.
@@ -144,13 +144,13 @@ impl DistinctFailure {
         found: &Counterexample,
         place: &str,
         texts: CounterexampleFiles,
-        replay: &dyn Fn(&str) -> Option<Command>,
+        replay: &dyn Fn(&str) -> Option<CrumpleCommand>,
     ) -> Self {
         let name = found.file.rsplit('/').next().unwrap_or(&found.file);
         let file = format!("{place}/{name}");
         let CounterexampleFiles { counterexample: text, escape } = texts;
         Self {
-            escape: escape.map(|text| EscapeFile::beside(&file, text)),
+            escape: escape.map(|text| EscapeFile::for_counterexample(&file, text)),
             sha256: sha256(&text),
             replay: replay(&file),
             file,
@@ -166,9 +166,9 @@ impl DistinctFailure {
             dt_fragile: found.dt_fragile,
             found_by: found.found_by.clone(),
             found_at: found.found_at,
-            changed: found.changed.iter().map(changed).collect(),
+            changed: found.changed.iter().map(format_change).collect(),
             text,
-            run: None,
+            openscenario: None,
         }
     }
 
@@ -184,21 +184,21 @@ impl DistinctFailure {
         let Ok(scenario) = file::from_toml(&self.text, Path::new(&self.file)) else { return Ok(self) };
         let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
         let trace = simulate(&run, RecordingLevel::Trace).trace;
-        let road = format!("{}.{ROAD}", self.short_name());
+        let road = format!("{}.{ROAD_EXTENSION}", self.short_name());
         // None of a run that is too long for such a file, or in which vehicles change lanes.
-        self.run = trace.and_then(|trace| trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
+        self.openscenario = trace.and_then(|trace| export_trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
         Ok(self)
     }
 
     /// How to see it happen, and what would have avoided it.
-    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
     }
 
     /// Its files: the scenario, and beside it the escape and the run for other simulators.
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
-        let [scenario, road] = Self::beside(&self.file);
-        let run = self.run.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
+        let [scenario, road] = Self::simulator_file_names(&self.file);
+        let run = self.openscenario.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
         let escape = self.escape.as_ref().map(|escape| (escape.file.clone(), escape.text.clone().into_bytes()));
         let own = iter::once((self.file.clone(), self.text.clone().into_bytes()));
         own.chain(escape).chain(run.into_iter().flatten())
@@ -231,7 +231,7 @@ impl DistinctFailure {
     }
 }
 
-fn format_change(changed: &Changed) -> String {
+fn format_change(changed: &ChangedParameter) -> String {
     let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
     format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
 }

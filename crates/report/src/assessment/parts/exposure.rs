@@ -1,13 +1,13 @@
 //! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
 
-use super::sampling::{Distribution, run_draws};
+use super::sampling::{SpaceSample, run_samples};
 use crate::assessment::figure_layout::NamedSpace;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan};
-use crumple_core::digits::nearest;
-use crumple_evidence::exposure::{ExposedRate, Figure, FailureProbability, WithDataUncertainty, run_again};
-use crumple_world::scenario::space::Space;
+use crumple_core::digits::format_rounded;
+use crumple_evidence::exposure::{RatePerExposure, IntervalEstimate, FailureProbability, WithDataUncertainty, count_on_resamples};
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 
 /// Resamples of the episodes that a space was fitted to.
@@ -16,18 +16,18 @@ const RESAMPLES: u32 = 100;
 const MAX_RUNS_PER_RESAMPLE: u32 = 200;
 
 /// A table of a space's controllers and what is to be said of it; none where the space does not say in how much driving it was seen.
-pub(super) fn exposure_table(drawn: &Distribution) -> Option<(String, Table)> {
-    let rates: Vec<(&str, &ExposedRate)> = drawn
+pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable)> {
+    let rates: Vec<(&str, &RatePerExposure)> = drawn
         .controllers
         .iter()
-        .filter_map(|sampled| Some((sampled.controller.as_str(), sampled.exposed.as_ref()?)))
+        .filter_map(|sampled| Some((sampled.controller.as_str(), sampled.rate_per_exposure.as_ref()?)))
         .collect();
     let (_, first) = rates.first()?;
     let mut words = format!(
         "On the road: {} episodes in {} waves were seen in {:.3} h and {:.1} km of following{}. Intervals are joint ones at {} %, of the number of \
          episodes and of the probability of a failure (Bonferroni).",
         first.episodes,
-        first.waves,
+        first.clusters,
         first.hours,
         first.kilometres,
         match first.left_out {
@@ -38,34 +38,34 @@ pub(super) fn exposure_table(drawn: &Distribution) -> Option<(String, Table)> {
         },
         100.0 * first.confidence
     );
-    if let Some(data) = first.with_data {
+    if let Some(data) = first.with_data_uncertainty {
         words += &format!(
             " With data: {} resamples of the episodes, the space fitted to each, {} runs in each.",
             data.resamples,
             data.runs_each.unwrap_or(0)
         );
     }
-    if let Some(why) = &first.without_data {
+    if let Some(why) = &first.data_uncertainty_missing {
         words += &format!(" The data's uncertainty is not stated: {why}.");
     }
-    let interval = |figure: Figure| format!("{} – {}", nearest(figure.lower, 3), nearest(figure.upper, 3));
-    let shown = |figure: Figure| Cell::number(format!("{} ({})", nearest(figure.estimate, 3), interval(figure)));
-    let data = |rate: &ExposedRate, of: fn(&WithDataUncertainty) -> Figure| {
-        Cell::optional(rate.with_data.map(|data| interval(of(&data))))
+    let interval = |figure: IntervalEstimate| format!("{} – {}", format_rounded(figure.lower, 3), format_rounded(figure.upper, 3));
+    let shown = |figure: IntervalEstimate| ReportCell::number(format!("{} ({})", format_rounded(figure.estimate, 3), interval(figure)));
+    let data = |rate: &RatePerExposure, of: fn(&WithDataUncertainty) -> IntervalEstimate| {
+        ReportCell::optional(rate.with_data_uncertainty.map(|data| interval(of(&data))))
     };
     let percent = |variance: Option<f64>| variance.map_or("–".to_owned(), |v| format!("{:.0} %", 100.0 * v.sqrt()));
     let parts = |data: WithDataUncertainty| {
         [Some(data.counting_variance), data.data_variance, data.sampling_variance].map(percent).join(", ")
     };
-    let table = Table::of(
+    let table = ReportTable::from_items(
         rates,
         &[
-            ("controller", &|(controller, _)| Cell::text(controller)),
+            ("controller", &|(controller, _)| ReportCell::text(controller)),
             ("failures per hour", &|(_, rate)| shown(rate.fitted.per_hour)),
-            ("with data", &|(_, rate)| data(rate, |data| data.figures.per_hour)),
+            ("with data", &|(_, rate)| data(rate, |data| data.rates.per_hour)),
             ("failures per 1000 km", &|(_, rate)| shown(rate.fitted.per_1000_km)),
-            ("with data", &|(_, rate)| data(rate, |data| data.figures.per_1000_km)),
-            ("deviation by count, data, runs", &|(_, rate)| Cell::optional(rate.with_data.map(parts))),
+            ("with data", &|(_, rate)| data(rate, |data| data.rates.per_1000_km)),
+            ("deviation by count, data, runs", &|(_, rate)| ReportCell::optional(rate.with_data_uncertainty.map(parts))),
         ],
     );
     Some((words, table))
@@ -77,19 +77,19 @@ pub(super) fn rate_per_exposure(
     named: &NamedSpace,
     controller: &NamedController,
     known: FailureProbability<'_>,
-    work: &Work<'_>,
-) -> Result<Option<ExposedRate>, AssessError> {
+    work: &GatherContext<'_>,
+) -> Result<Option<RatePerExposure>, AssessError> {
     if named.space.spec().exposure.is_none() {
         return Ok(None);
     }
-    let mut failures = |space: &Space, seed: u64, runs: u64| -> Result<u64, AssessError> {
+    let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| -> Result<u64, AssessError> {
         // Between two, so that it can be interrupted.
-        work.did(0)?;
+        work.add_runs(0)?;
         let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let draws = run_draws(&scenarios, controller, plan)?;
+        let draws = run_samples(&scenarios, controller, plan)?;
         Ok(draws.iter().filter(|draw| draw.verdict.is_failure()).count() as u64)
     };
     let runs_each = u32::try_from(plan.config.draws).unwrap_or(MAX_RUNS_PER_RESAMPLE).clamp(1, MAX_RUNS_PER_RESAMPLE);
-    let resamples = run_again(&named.space, plan.config.seed, RESAMPLES, runs_each, &mut failures)?;
-    Ok(ExposedRate::of(&named.space, known, resamples.as_ref()))
+    let resamples = count_on_resamples(&named.space, plan.config.seed, RESAMPLES, runs_each, &mut failures)?;
+    Ok(RatePerExposure::new(&named.space, known, resamples.as_ref()))
 }

@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::map_cell::{MapCell, MapRow};
-use super::map_grid::{Held, MapAxis, held, scenarios};
-use super::maps_figure;
-use crate::assessment::avoidance::Best;
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part};
+use super::map_grid::{FixedParameter, FailureMapAxis, fixed_parameters, grid_scenarios};
+use super::failure_maps_figure;
+use crate::assessment::avoidance::RoundedAvoidance;
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, ReportPart};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -37,12 +37,12 @@ pub struct FailureMaps {
     /// The search space the scenarios come from.
     pub space: String,
     /// The parameter that grows from left to right.
-    pub across: MapAxis,
+    pub across: FailureMapAxis,
     /// The parameter that grows from bottom to top.
-    pub up: MapAxis,
+    pub up: FailureMapAxis,
     /// The space's other parameters and the values they were held at.
     #[serde(rename = "held")]
-    pub fixed_parameters: Vec<Held>,
+    pub fixed_parameters: Vec<FixedParameter>,
     /// How many scenarios no controller of the plan survived, so that a convex program had to decide.
     pub programs: usize,
     /// One entry a controller.
@@ -61,12 +61,12 @@ pub struct FailureMap {
 
 impl FailureMaps {
     /// None if the plan leaves the paper out.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         if !plan.config.paper {
             return Ok(None);
         }
         let inputs = json!([plan.config.seed, plan.identities()]);
-        work.get("failure maps", &inputs, || Self::over(plan, [ACROSS, UP], CELLS))
+        work.get_or_gather("failure maps", &inputs, || Self::compute(plan, [ACROSS, UP], CELLS))
     }
 
     fn compute(
@@ -78,13 +78,13 @@ impl FailureMaps {
         let space = space.with_noise_seed(plan.config.seed);
         let find = |name: &str| space.parameters().iter().find(|parameter| parameter.name() == name);
         let (Some(across), Some(up)) = (find(named[0].0), find(named[1].0)) else { return Ok(None) };
-        let axes = (MapAxis::of(&space, across, named[0].1, cells.0), MapAxis::of(&space, up, named[1].1, cells.1));
-        let scenarios = scenarios(&space, (across, up), &axes)?;
+        let axes = (FailureMapAxis::new(&space, across, named[0].1, cells.0), FailureMapAxis::new(&space, up, named[1].1, cells.1));
+        let scenarios = grid_scenarios(&space, (across, up), &axes)?;
 
-        let touched = touched(plan, &scenarios)?;
+        let touched = simulate_contacts(plan, &scenarios)?;
         let survives = |cell: usize| touched.iter().any(|cells| cells.get(cell) == Some(&false));
         let survived: Vec<bool> = (0..scenarios.len()).map(survives).collect();
-        let fates: Vec<MapCell> = scenarios.par_iter().zip(&survived).map(|(s, &survived)| fate(s, survived)).collect();
+        let fates: Vec<MapCell> = scenarios.par_iter().zip(&survived).map(|(s, &survived)| classify_cell(s, survived)).collect();
 
         let of = |(controller, touched): (&NamedController, &Vec<bool>)| FailureMap {
             controller: controller.name.clone(),
@@ -103,9 +103,9 @@ impl FailureMaps {
             shown.filter(|(controller, _)| Some(controller.name.as_str()) == first || controller.kind.is_learned());
         Ok(Some(Self {
             space: SPACE.to_owned(),
-            held: held(&space, (across, up)),
+            fixed_parameters: fixed_parameters(&space, (across, up)),
             programs: survived.iter().filter(|survived| !**survived).count(),
-            maps: shown.take(MOST_SHOWN).map(of).collect(),
+            maps: shown.take(MAX_MAPS).map(of).collect(),
             across: axes.0,
             up: axes.1,
         }))
@@ -128,10 +128,10 @@ fn classify_cell(scenario: &Scenario, survived: bool) -> MapCell {
     if survived {
         return MapCell::Avoidable;
     }
-    match Best::of(scenario) {
-        Best::Avoidable { .. } => MapCell::Avoidable,
-        Best::Unavoidable => MapCell::Unavoidable,
-        Best::Undecided { .. } => MapCell::Undecided,
+    match RoundedAvoidance::compute(scenario) {
+        RoundedAvoidance::Avoidable { .. } => MapCell::Avoidable,
+        RoundedAvoidance::Unavoidable => MapCell::Unavoidable,
+        RoundedAvoidance::Undecided { .. } => MapCell::Undecided,
     }
 }
 
@@ -145,7 +145,7 @@ impl FailureMap {
 
 impl FailureMaps {
     fn introduction(&self) -> String {
-        let held: Vec<_> = self.held.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
+        let held: Vec<_> = self.fixed_parameters.iter().map(|held| format!("{} {}", held.parameter, held.value)).collect();
         format!(
             "The scenarios of the space {} over two of its parameters, {} and {}, with the others held at their nominal values \
              ({}). These two are shown because they decide how much room is left: how hard the leader brakes, and how hard \
@@ -162,11 +162,11 @@ impl FailureMaps {
         )
     }
 
-    fn table(&self) -> Table {
-        let kinds = MapCell::ALL.map(MapCell::words);
+    fn table(&self) -> ReportTable {
+        let kinds = MapCell::ALL.map(MapCell::label);
         let header: Vec<&str> =
             ["controller"].into_iter().chain(kinds).chain(["avoidable cells without contact"]).collect();
-        let mut table = Table::new(&header);
+        let mut table = ReportTable::new(&header);
         for map in &self.maps {
             let cells = MapCell::ALL.map(|kind| map.count(kind)).iter().sum::<usize>();
             let share = |count: usize, of: usize| match of {
@@ -174,22 +174,22 @@ impl FailureMaps {
                 _ => format!("{count} ({:.1} %)", 100.0 * count as f64 / of as f64),
             };
             let survived = map.count(MapCell::NoContact);
-            let counts = MapCell::ALL.map(|kind| Cell::number(share(map.count(kind), cells)));
-            let of_avoidable = Cell::number(share(survived, survived + map.count(MapCell::Avoidable)));
-            table.row(std::iter::once(Cell::text(&map.controller)).chain(counts).chain([of_avoidable]).collect());
+            let counts = MapCell::ALL.map(|kind| ReportCell::number(share(map.count(kind), cells)));
+            let of_avoidable = ReportCell::number(share(survived, survived + map.count(MapCell::Avoidable)));
+            table.push_row(std::iter::once(ReportCell::text(&map.controller)).chain(counts).chain([of_avoidable]).collect());
         }
         table
     }
 }
 
-impl Part for FailureMaps {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for FailureMaps {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("maps", "Failure maps".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
-        out.figure(failure_maps_figure::responsive(self));
+        out.figure(failure_maps_figure::draw_responsive(self));
         out.table(&self.table());
     }
 }

@@ -4,10 +4,10 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
-use super::{FailureMap, FailureMaps, MapAxis, MapCell};
+use super::{FailureMap, FailureMaps, FailureMapAxis, MapCell};
 use crate::draw::{
-    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, Frame, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Panel, SMALL_TEXT_SIZE, Stroke, Svg, Ticks,
-    grid_frames, signed, words,
+    self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Panel, SMALL_TEXT_SIZE, Stroke, Svg, Ticks,
+    grid_rects, format_number, description,
 };
 
 /// Width of the line around what is unavoidable.
@@ -27,18 +27,18 @@ pub(super) fn draw_responsive(maps: &FailureMaps) -> Markup {
 }
 
 fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
-    let (key, key_height) = key(width);
+    let (key, key_height) = draw_legend(width);
     let column_width = (width / columns as f64).min(600.0);
     let plot = (column_width - LEFT_MARGIN - 18.0, 0.66 * (column_width - LEFT_MARGIN - 18.0));
     let row_height = HEADING_HEIGHT + plot.1 + BOTTOM_MARGIN;
     let panel = |(index, map): (usize, &FailureMap)| {
         let (column, row) = (index % columns, index / columns);
         let (left, top) = (column as f64 * column_width + LEFT_MARGIN, key_height + row as f64 * row_height + HEADING_HEIGHT);
-        let frame = Frame { left, top, width: plot.0, height: plot.1 };
-        let (x, y) = (axis(&maps.across, &maps.across.title), axis(&maps.up, ""));
+        let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
+        let (x, y) = (parameter_axis(&maps.across, &maps.across.title), parameter_axis(&maps.up, ""));
         let mut panel = Panel::new(frame, &map.controller, x, y);
-        panel.overlay(words((left - LEFT_MARGIN, top - 8.0), Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
-        panel.overlay(cells(map, frame));
+        panel.add_overlay(format_case((left - LEFT_MARGIN, top - 8.0), Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
+        panel.add_overlay(draw_map_cells(map, frame));
         panel.draw(&Svg::id(prefix, &map.controller))
     };
     let content = html! { (key) @for placed in maps.maps.iter().enumerate() { (panel(placed)) } };
@@ -49,35 +49,35 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
 }
 
 /// An axis from 0 to 1 with round values of the parameter marked.
-fn parameter_axis(of: &MapAxis, title: &str) -> Axis {
+fn parameter_axis(of: &FailureMapAxis, title: &str) -> Axis {
     let (low, high) = (of.low.value(), of.high.value());
-    let marks: Vec<(f64, String)> = if of.by_factor {
+    let marks: Vec<(f64, String)> = if of.is_logarithmic {
         let powers =
             (-3..6).flat_map(|exponent| [1.0, 2.0, 5.0].map(|factor| (factor * 10f64.powi(exponent), exponent)));
         let inside = powers.filter(|(value, _)| (low..=high).contains(value));
-        inside.map(|(value, exponent)| (value, signed(value, usize::try_from(-exponent).unwrap_or(0)))).collect()
+        inside.map(|(value, exponent)| (value, format_number(value, usize::try_from(-exponent).unwrap_or(0)))).collect()
     } else {
-        Ticks::within((low, high), 6).labelled().collect()
+        Ticks::new((low, high), 6).labels().collect()
     };
-    Axis::marked(title, (0.0, 1.0), marks.into_iter().map(|(value, label)| (of.share(value), label)).collect())
+    Axis::with_ticks(title, (0.0, 1.0), marks.into_iter().map(|(value, label)| (of.normalize(value), label)).collect())
 }
 
 /// Every cell, told apart by what is drawn on it, and the line around what is unavoidable.
-fn draw_map_cells(map: &FailureMap, frame: Frame) -> Markup {
+fn draw_map_cells(map: &FailureMap, frame: PixelRect) -> Markup {
     let (columns, rows) = (map.rows.first().map_or(1, |row| row.0.len().max(1)), map.rows.len().max(1));
     let (width, height) = (frame.width / columns as f64, frame.height / rows as f64);
-    let placed = || map.rows.iter().flat_map(|row| row.0.iter().copied()).zip(grid_frames(frame, columns, rows));
+    let placed = || map.rows.iter().flat_map(|row| row.0.iter().copied()).zip(grid_rects(frame, columns, rows));
     html! {
         @for kind in MapCell::ALL {
-            (draw::cells(look(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
+            (simulate_failures::draw_map_cells(cell_style(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
         }
-        path d=(boundary(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(LINE)
+        path d=(boundary_path(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(BOUNDARY_WIDTH)
             stroke-linecap="square" {}
     }
 }
 
 /// Path data of every edge between a cell that is unavoidable and one that is not.
-fn boundary_path(map: &FailureMap, frame: Frame, (width, height): (f64, f64)) -> String {
+fn boundary_path(map: &FailureMap, frame: PixelRect, (width, height): (f64, f64)) -> String {
     let cell = |row: usize, column: usize| map.rows.get(row).and_then(|cells| cells.0.get(column)).copied();
     let differ = |one: Option<MapCell>, other: Option<MapCell>| {
         let lost = |cell: MapCell| cell == MapCell::Unavoidable;
@@ -110,7 +110,7 @@ fn cell_style(kind: MapCell) -> CellStyle {
 
 /// What each kind of cell and the line look like, and the height that this takes.
 fn draw_legend(width: f64) -> (Markup, f64) {
-    let line = LegendEntry::Line(Stroke::solid(Ink::Text, LINE), "beyond it nobody avoids contact");
-    let kinds = MapCell::ALL.map(|kind| LegendEntry::Cell(look(kind), kind.words()));
-    draw::key(&kinds.into_iter().chain([line]).collect::<Vec<_>>(), width)
+    let line = LegendEntry::Line(Stroke::solid(Ink::Text, BOUNDARY_WIDTH), "beyond it nobody avoids contact");
+    let kinds = MapCell::ALL.map(|kind| LegendEntry::Cell(cell_style(kind), kind.label()));
+    draw::draw_legend(&kinds.into_iter().chain([line]).collect::<Vec<_>>(), width)
 }

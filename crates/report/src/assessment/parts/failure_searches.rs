@@ -11,24 +11,24 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::ScenarioCases;
-use super::distinct_failure::{Failure, MethodResult, is_own};
-use crate::assessment::case::{Motion, largest, run_cases};
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use super::distinct_failure::{DistinctFailure, MethodResult, involves_vehicle_under_test};
+use crate::assessment::case::{MotionRetention, largest, run_cases};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject};
 use crate::assessment::commands::controller_arg;
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::figure_layout::{NamedSpace, file_stem};
-use crate::assessment::prose::prose;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded, StoreError};
+use crate::assessment::prose::prose_to_html;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded, CacheError};
 use crumple_evidence::RateInterval;
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, Summary};
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, CampaignSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_store::disk::DiskError;
 use crumple_world::scenario::file;
-use crumple_world::sim::{NamedController, Unanswered};
+use crumple_world::sim::{NamedController, FailedControllerRuns};
 
 /// Failures of one search that are shown, the severest first: more than a campaign of a few hundred runs tells apart.
 const MAX_SHOWN: usize = 100;
@@ -51,7 +51,7 @@ pub struct SpaceSearches {
     pub name: String,
     /// The space.
     #[serde(rename = "known")]
-    pub content_id: Known,
+    pub content_id: ContentId,
     /// What the space covers and why.
     pub about: String,
     /// One entry a controller.
@@ -65,13 +65,13 @@ pub struct FailureSearch {
     /// The controller.
     pub controller: String,
     /// How to search again; none of a controller from outside.
-    pub command: Option<Command>,
+    pub command: Option<CrumpleCommand>,
     /// What each method reached: the search, then the reference searches.
     pub methods: Vec<MethodResult>,
     /// Distinct failures found, by class.
     pub distinct: Vec<(AvoidabilityClass, usize)>,
     /// The severest of them.
-    pub failures: Vec<Failure>,
+    pub failures: Vec<DistinctFailure>,
     /// Distinct ways in which only vehicles touched that are not under test: they are no failures of the controller.
     pub others: usize,
     #[serde(skip)]
@@ -79,7 +79,7 @@ pub struct FailureSearch {
 }
 
 impl FailureSearches {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let pairs: Vec<_> = plan
             .spaces
             .iter()
@@ -89,7 +89,7 @@ impl FailureSearches {
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
         let spaces = plan.spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
-            known: named.known.clone(),
+            content_id: named.known.clone(),
             about: named.space.spec().about.clone(),
             controllers: found.by_ref().take(plan.controllers.len()).collect(),
         });
@@ -98,17 +98,17 @@ impl FailureSearches {
 
     /// The severest failures of a controller over all spaces, drawn, each under a name of its own.
     pub(in crate::assessment) fn worst_failures(&self, controller: &str, most: usize) -> Vec<ScenarioCases> {
-        let own = self.spaces.iter().filter_map(|space| Some((space, space.of(controller)?)));
+        let own = self.spaces.iter().filter_map(|space| Some((space, space.find(controller)?)));
         let drawn =
-            own.flat_map(|(space, search)| search.failures.iter().zip(&search.drawn).map(move |one| (space, one)));
+            own.flat_map(|(space, search)| search.failures.iter().zip(&search.drawn_cases).map(move |one| (space, one)));
         let mut drawn: Vec<_> = drawn.collect();
         drawn.sort_by(|(_, (a, _)), (_, (b, _))| {
-            let severity = |failure: &Failure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
+            let severity = |failure: &DistinctFailure| failure.impact_speed_mps.map_or(0.0, Rounded::value);
             severity(b).total_cmp(&severity(a))
         });
-        let named = |(rank, (space, (_, cases))): (usize, (&SpaceSearches, (&Failure, &ScenarioCases)))| {
+        let named = |(rank, (space, (_, cases))): (usize, (&SpaceSearches, (&DistinctFailure, &ScenarioCases)))| {
             let mut cases = cases.clone();
-            cases.scenario = format!("failure {} of {}", rank + 1, space.known.name);
+            cases.scenario = format!("failure {} of {}", rank + 1, space.content_id.name);
             cases
         };
         drawn.into_iter().take(most).enumerate().map(named).collect()
@@ -121,30 +121,30 @@ impl FailureSearches {
             .iter()
             .flat_map(|space| plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
-            let strength = match search.total() {
-                0 => Strength::of(search.methods.iter().map(|reached| reached.failures).sum(), search.telling()),
+            let strength = match search.distinct_count() {
+                0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), search.conclusive_evaluations()),
                 // Nothing but that: no contact was found.
-                failures if failures == search.silent().count() => {
-                    Strength::from_counts_with_unanswered(0, search.telling(), search.unanswered().as_ref(), true)
+                failures if failures == search.unanswered_failures().count() => {
+                    Strength::from_counts_with_unanswered(0, search.conclusive_evaluations(), search.unanswered().as_ref(), true)
                 }
-                failures => Strength::Found {
+                failures => Strength::Falsified {
                     failures,
                     avoidable: search.count(AvoidabilityClass::Avoidable),
                     because: search.unanswered().map(|silent| silent.because),
                 },
             };
-            let claim = Claim { subject, property: Property::NoContact, domain: space.domain(plan) };
+            let claim = AssuranceClaim { subject, property: Property::NoContact, domain: space.domain(plan) };
             Evidence {
                 claim,
                 strength,
-                source: Source::part("search", format!("{} evaluations", search.evaluations())),
+                source: EvidenceSource::from_part("search", format!("{} evaluations", search.evaluations())),
             }
         };
         all.map(of).collect()
     }
 
     /// Every failure that is shown.
-    pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &Failure> {
+    pub(in crate::assessment) fn failures(&self) -> impl Iterator<Item = &DistinctFailure> {
         self.spaces.iter().flat_map(|space| &space.controllers).flat_map(|search| &search.failures)
     }
 }
@@ -153,7 +153,7 @@ impl SpaceSearches {
     /// What was tried of the space, as a domain.
     pub(in crate::assessment) fn domain(&self, plan: &AssessmentPlan) -> Domain {
         let (seed, budget) = (plan.config.seed, plan.config.search.budget);
-        Domain::Search { space: self.known.clone(), seed, budget }
+        Domain::Search { space: self.content_id.clone(), seed, budget }
     }
 
     /// Of one controller.
@@ -161,24 +161,24 @@ impl SpaceSearches {
         self.controllers.iter().find(|search| search.controller == controller)
     }
 
-    fn table(&self) -> Table {
+    fn table(&self) -> ReportTable {
         let first = |reached: Option<&MethodResult>| {
             let first = reached.and_then(|reached| reached.first_failure);
-            Cell::number(first.map_or("none".to_owned(), |first| first.to_string()))
+            ReportCell::number(first.map_or("none".to_owned(), |first| first.to_string()))
         };
-        Table::of(
+        ReportTable::from_items(
             &self.controllers,
             &[
-                ("controller", &|search| Cell::text(&search.controller)),
-                ("distinct failures", &|search| Cell::judged(search.total(), search.total() == 0)),
-                ("avoidable", &|search| Cell::number(search.count(AvoidabilityClass::Avoidable))),
-                ("unavoidable", &|search| Cell::number(search.count(AvoidabilityClass::Unavoidable))),
-                ("undecided", &|search| Cell::number(search.count(AvoidabilityClass::Undecided))),
-                ("severest impact (m/s)", &|search| Cell::optional(search.max_impact_speed_mps())),
+                ("controller", &|search| ReportCell::text(&search.controller)),
+                ("distinct failures", &|search| ReportCell::with_verdict(search.distinct_count(), search.distinct_count() == 0)),
+                ("avoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Avoidable))),
+                ("unavoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Unavoidable))),
+                ("undecided", &|search| ReportCell::number(search.count(AvoidabilityClass::Undecided))),
+                ("severest impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
                 ("first after (runs)", &|search| first(search.methods.first())),
-                ("uniform: first after", &|search| first(search.reached(Method::Uniform))),
-                ("share failing", &|search| Cell::optional(search.uniform_failure_percent().map(|share| format!("{share} %")))),
-                ("Halton: first after", &|search| first(search.reached(Method::Halton))),
+                ("uniform: first after", &|search| first(search.method_result(Method::Uniform))),
+                ("share failing", &|search| ReportCell::optional(search.uniform_failure_percent().map(|share| format!("{share} %")))),
+                ("Halton: first after", &|search| first(search.method_result(Method::Halton))),
             ],
         )
     }
@@ -189,7 +189,7 @@ impl FailureSearch {
         plan: &AssessmentPlan,
         named: &NamedSpace,
         (index, controller): (usize, &NamedController),
-        work: &Work<'_>,
+        work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let space = &named.space;
         let campaign = Campaign {
@@ -200,19 +200,19 @@ impl FailureSearch {
         };
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
-        let (summary, texts) = searched(&campaign, (&item, &inputs), MOST_SHOWN, work)?;
+        let (summary, texts) = run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)?;
         let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.slug(index));
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
         let replay = |file: &str| {
-            let simulate = Command::new(["simulate", file, "--controller", word.as_deref()?]).and(seeing.clone());
-            Some(simulate.and(["--expect", "collision"]))
+            let simulate = CrumpleCommand::new(["simulate", file, "--controller", word.as_deref()?]).with_args(seeing.clone());
+            Some(simulate.with_args(["--expect", "collision"]))
         };
         let nominal = space.scenario(&space.nominal())?;
-        let is_own = |found: &&Counterexample| is_own([found.front_vehicle, found.rear_vehicle], &nominal);
+        let is_own = |found: &&Counterexample| involves_vehicle_under_test([found.front_vehicle, found.rear_vehicle], &nominal);
         let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
-        let failures: Vec<_> = found.map(|(found, text)| Failure::of(found, &place, text, &replay)).collect();
-        let exported = failures.into_par_iter().map(|one| one.exported(controller, plan.config.estimator));
+        let failures: Vec<_> = found.map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay)).collect();
+        let exported = failures.into_par_iter().map(|one| one.with_simulator_files(controller, plan.config.estimator));
         let failures = exported.collect::<Result<Vec<_>, _>>()?;
         let classes = [
             AvoidabilityClass::Avoidable,
@@ -227,30 +227,30 @@ impl FailureSearch {
         let command = word.as_deref().map(|word| {
             let what =
                 ["falsify", "--controller", word, "--space", &named.word(), "--budget", &budget, "--seed", &seed];
-            Command::new(what).and(["--out", &out]).and(seeing.clone())
+            CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
         });
-        let drawn = if is_drawn(plan, index, controller) { draw(plan, controller, &failures)? } else { Vec::new() };
+        let drawn = if is_drawn(plan, index, controller) { simulate_failures(plan, controller, &failures)? } else { Vec::new() };
         Ok(Self {
             controller: controller.name.clone(),
             command,
-            methods: summary.methods.iter().map(|method| MethodResult::of(method, &summary, &nominal)).collect(),
+            methods: summary.methods.iter().map(|method| MethodResult::new(method, &summary, &nominal)).collect(),
             distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
             failures,
             others: summary.counterexamples.len() - own.len(),
-            drawn,
+            drawn_cases: drawn,
         })
     }
 
     /// Those of the failures that are shown in which the controller gave no answer.
-    fn unanswered_failures(&self) -> impl Iterator<Item = &Failure> {
+    fn unanswered_failures(&self) -> impl Iterator<Item = &DistinctFailure> {
         self.failures.iter().filter(|failure| failure.because.is_some())
     }
 
     /// Evaluations in which it gave none, and why.
-    fn unanswered(&self) -> Option<Unanswered> {
+    fn unanswered(&self) -> Option<FailedControllerRuns> {
         let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
-        let because = self.silent().find_map(|failure| failure.because.clone());
-        (runs > 0).then(|| Unanswered {
+        let because = self.unanswered_failures().find_map(|failure| failure.because.clone());
+        (runs > 0).then(|| FailedControllerRuns {
             runs,
             because: because.unwrap_or_else(|| "of none of them is it known why".to_owned()),
         })
@@ -258,7 +258,7 @@ impl FailureSearch {
 
     /// The same in words.
     pub(in crate::assessment) fn describe_unanswered(&self) -> Option<String> {
-        Some(self.unanswered()?.words(self.evaluations()))
+        Some(self.unanswered()?.describe(self.evaluations()))
     }
 
     /// Distinct failures of a class.
@@ -287,7 +287,7 @@ impl FailureSearch {
 
     /// Share of uniform points that fail, in percent.
     pub(super) fn uniform_failure_percent(&self) -> Option<Rounded<1>> {
-        let uniform = self.reached(Method::Uniform)?;
+        let uniform = self.method_result(Method::Uniform)?;
         Some(Rounded::new(100.0 * uniform.failures as f64 / uniform.evaluations.max(1) as f64))
     }
 
@@ -300,25 +300,25 @@ impl FailureSearch {
         self.methods.iter().find(|reached| reached.method == method.name())
     }
 
-    fn table(&self) -> Table {
-        Table::of(
+    fn table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.failures,
             &[
-                ("failure", &|failure| Cell::text(failure.short_name())),
-                ("what happens", &|failure| Cell::text(failure.words())),
-                ("class", &|failure| Cell::text(failure.describe_class())),
-                ("delta-v (m/s)", &|failure| Cell::optional(failure.max_delta_v_mps)),
-                ("vehicles", &|failure| Cell::number(failure.vehicles)),
-                ("rank by likelihood", &|failure| Cell::number(failure.likelihood_rank)),
-                ("found by", &|failure| Cell::text(format!("{}, run {}", failure.found_by, failure.found_at))),
-                ("what is not nominal", &|failure| Cell::text(failure.changed.join(", "))),
+                ("failure", &|failure| ReportCell::text(failure.short_name())),
+                ("what happens", &|failure| ReportCell::text(failure.describe())),
+                ("class", &|failure| ReportCell::text(failure.describe_class())),
+                ("delta-v (m/s)", &|failure| ReportCell::optional(failure.max_delta_v_mps)),
+                ("vehicles", &|failure| ReportCell::number(failure.vehicles)),
+                ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
+                ("found by", &|failure| ReportCell::text(format!("{}, run {}", failure.found_by, failure.found_at))),
+                ("what is not nominal", &|failure| ReportCell::text(failure.changed.join(", "))),
             ],
         )
     }
 
     fn summary(&self) -> String {
         let avoidable = self.count(AvoidabilityClass::Avoidable);
-        match self.total() {
+        match self.distinct_count() {
             0 => "no failure found".to_owned(),
             1 => format!("one failure, {}", if avoidable == 1 { "avoidable" } else { "not known to be avoidable" }),
             total => format!("{total} distinct failures, {avoidable} of them avoidable"),
@@ -327,12 +327,12 @@ impl FailureSearch {
 
     /// In a sentence or two: how hard was looked, and what random points made of it.
     fn describe_effort(&self) -> String {
-        let (Some(main), Some(uniform)) = (self.methods.first(), self.reached(Method::Uniform)) else {
+        let (Some(main), Some(uniform)) = (self.methods.first(), self.method_result(Method::Uniform)) else {
             return String::new();
         };
         let random = match uniform.failures {
             0 => {
-                let upper = RateInterval::exact(0, uniform.evaluations, 0.9).upper;
+                let upper = RateInterval::clopper_pearson(0, uniform.evaluations, 0.9).upper;
                 format!(
                     "of {} uniform points none fails, so that with 95 % confidence a random point fails with a probability below \
                      {} % and random search would need more than {:.0} runs on average",
@@ -351,14 +351,14 @@ impl FailureSearch {
             Some(first) => format!("`{}` met its first failure in run {first} of {}", main.method, main.evaluations),
             None => format!("`{}` met none in {} runs", main.method, main.evaluations),
         };
-        let rest = self.total().saturating_sub(self.failures.len());
+        let rest = self.distinct_count().saturating_sub(self.failures.len());
         let rest = if rest == 0 { String::new() } else { format!(" {rest} further distinct failures are not listed.") };
         let others = match self.others {
             0 => String::new(),
             others => format!(
                 " {} runs ended when vehicles touched that are not under test, in {others} ways: these say nothing of the \
                  controller.",
-                self.evaluations() - self.telling()
+                self.evaluations() - self.conclusive_evaluations()
             ),
         };
         format!("{first}; {random}.{rest}{others}")
@@ -379,18 +379,18 @@ pub(super) fn run_campaign(
     campaign: &Campaign,
     (item, inputs): (&str, &Value),
     most: usize,
-    work: &Work<'_>,
-) -> Result<(Summary, Vec<CounterexampleFiles>), AssessError> {
-    work.get(item, inputs, || {
-        let folder = work.store.workplace(item, inputs)?;
+    work: &GatherContext<'_>,
+) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
+    work.get_or_gather(item, inputs, || {
+        let folder = work.cache.scratch_folder(item, inputs)?;
         let options = CampaignOptions { resume: campaign.controller.kind.identity().is_some(), ..Default::default() };
         let done = AtomicU64::new(0);
         let summary = campaign.run(folder.path(), options, &|progress: &CampaignProgress| {
             let more = progress.evaluations - done.swap(progress.evaluations, Ordering::Relaxed);
-            if work.did(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            if work.add_runs(more).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         })?;
         let shown = summary.counterexamples.iter().take(most);
-        let read = |name: &String| read(&folder.path().join(name));
+        let read = |name: &String| read_file(&folder.path().join(name));
         let texts = shown.map(|found| {
             let escape = found.escape_file.as_ref().map(read).transpose()?;
             Ok::<_, AssessError>(CounterexampleFiles { counterexample: read(&found.file)?, escape })
@@ -409,24 +409,24 @@ fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -
 fn simulate_failures(
     plan: &AssessmentPlan,
     controller: &NamedController,
-    failures: &[Failure],
+    failures: &[DistinctFailure],
 ) -> Result<Vec<ScenarioCases>, AssessError> {
     let mut drawn = Vec::new();
-    for failure in failures.iter().take(MOST_DRAWN) {
+    for failure in failures.iter().take(MAX_DRAWN) {
         // What a campaign wrote and read back can be read again.
         let Ok(scenario) = file::from_toml(&failure.text, Path::new(&failure.file)) else { continue };
         // Unique on the page, with the controller's: names of scenarios are those of spaces.
         let named = scenario.edited(|spec| spec.name = format!("{} {}", spec.name, failure.short_name()))?;
         let one = std::slice::from_ref(controller);
-        let cases = run_cases(&[&named], one, plan.config.estimator, Motion::Kept)?;
-        let replay = Command::new(["simulate", failure.file.as_str()]).and(plan.estimator_args().iter().copied());
+        let cases = run_cases(&[&named], one, plan.config.estimator, MotionRetention::Keep)?;
+        let replay = CrumpleCommand::new(["simulate", failure.file.as_str()]).with_args(plan.estimator_args().iter().copied());
         drawn.extend(cases.into_iter().map(|cases| ScenarioCases::new(&named, replay.clone(), cases)));
     }
     Ok(drawn)
 }
 
 fn read_file(path: &Path) -> Result<String, AssessError> {
-    Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(StoreError::from)?)
+    Ok(std::fs::read_to_string(path).map_err(DiskError::at(path)).map_err(CacheError::from)?)
 }
 
 const INTRODUCTION: &str = "A search looks for contacts; points drawn evenly over the ranges (uniform) and a Halton sequence get the same budget. Failures are \
@@ -440,20 +440,20 @@ const COMMANDS_NOTE: &str = "Commands run in the folder of this report, where po
     (a process, an FMU) has no commands here.";
 
 impl FailureSearch {
-    fn write(&self, out: &mut Document) {
-        out.html(html! {
+    fn write(&self, out: &mut ReportDocument) {
+        out.push_html(html! {
             details {
                 summary { (self.controller) ": " (self.summary()) }
-                p { (prose(&self.effort())) }
+                p { (prose_to_html(&self.describe_effort())) }
                 @if !self.failures.is_empty() {
-                    (self.table().html())
-                    ul { @for command in self.failures.iter().flat_map(Failure::commands) { li { code { (command) } } } }
+                    (self.table().to_html())
+                    ul { @for command in self.failures.iter().flat_map(DistinctFailure::commands) { li { code { (command) } } } }
                 }
                 @if let Some(command) = &self.command { p { "Search again: " code { (command) } } }
-                @if !self.drawn.is_empty() {
+                @if !self.drawn_cases.is_empty() {
                     details {
                         summary { "the severest, drawn" }
-                        @for (rank, cases) in self.drawn.iter().enumerate() {
+                        @for (rank, cases) in self.drawn_cases.iter().enumerate() {
                             @for case in &cases.cases {
                                 figure { (cases.figure(case)) }
                                 @if rank == 0 { figure { (cases.animation(case)) } }
@@ -463,27 +463,27 @@ impl FailureSearch {
                 }
             }
         });
-        let with_command = |words: Inline, before: &str, command: &Option<Command>| match command {
-            Some(command) => words.and(before).and_code(command),
+        let with_command = |words: Inline, before: &str, command: &Option<CrumpleCommand>| match command {
+            Some(command) => words.and_prose(before).and_code(command),
             None => words,
         };
-        let words = Inline::prose(&format!("{}: {}", self.controller, self.effort()));
-        out.markdown().paragraph(with_command(words, " Search again: ", &self.command));
-        out.markdown().list(self.failures.iter().map(|failure| {
-            let (words, class) = (failure.words(), failure.describe_class());
+        let words = Inline::prose(&format!("{}: {}", self.controller, self.describe_effort()));
+        out.markdown_mut().paragraph(with_command(words, " Search again: ", &self.command));
+        out.markdown_mut().list(self.failures.iter().map(|failure| {
+            let (words, class) = (failure.describe(), failure.describe_class());
             let words = Inline::prose(&format!("{words}, {class}, rank {} by likelihood", failure.likelihood_rank));
             with_command(words, ": ", &failure.replay)
         }));
     }
 }
 
-impl Part for FailureSearches {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for FailureSearches {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("search", "Failure search".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.paragraph(&format!("{INTRODUCTION} {WHERE}"));
+    fn write(&self, out: &mut ReportDocument) {
+        out.paragraph(&format!("{INTRODUCTION} {COMMANDS_NOTE}"));
         for space in &self.spaces {
             out.heading(&format!("Space {}", space.name));
             out.paragraph(&space.about);

@@ -4,15 +4,15 @@ use maud::html;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{ScenarioCases, scenarios};
-use crate::assessment::avoidance::{Best, CertifiedAvoidance, REGRET_EXPLANATION};
-use crate::assessment::case::{Case, CaseVerdict, Motion, run_cases};
+use super::{ScenarioCases, scenario_cases};
+use crate::assessment::avoidance::{RoundedAvoidance, CertifiedAvoidance, REGRET_EXPLANATION};
+use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::figure_layout::file_stem;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::RunError;
 
@@ -36,30 +36,30 @@ pub struct FileScenarios {
 }
 
 impl FileScenarios {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         if plan.traffic.is_empty() {
             return Ok(None);
         }
-        let run = |indices: &[usize], motion: Motion| -> Result<Vec<ScenarioCases>, RunError> {
+        let run = |indices: &[usize], motion: MotionRetention| -> Result<Vec<ScenarioCases>, RunError> {
             let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
             let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
             let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
             let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
-                let replay = Command::new(["simulate".to_owned(), scenario_file(scenario)])
-                    .and(plan.estimator_args().iter().copied());
+                let replay = CrumpleCommand::new(["simulate".to_owned(), scenario_path(scenario)])
+                    .with_args(plan.estimator_args().iter().copied());
                 ScenarioCases::new(scenario, replay, cases)
             });
             Ok(named.collect())
         };
-        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), Motion::Dropped)?;
+        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), MotionRetention::Drop)?;
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
-        work.did((plan.traffic.len() * plan.controllers.len()) as u64)?;
+        work.add_runs((plan.traffic.len() * plan.controllers.len()) as u64)?;
         let best = |&index: &usize| {
-            plan.traffic.get(index).map(|(_, scenario)| CertifiedAvoidance::kept(scenario, work)).transpose()
+            plan.traffic.get(index).map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work)).transpose()
         };
         let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
-        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, Motion::Kept)?).zip(bests) {
+        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, MotionRetention::Keep)?).zip(bests) {
             scenarios[index] = match best {
                 Some(best) => drawn.with_avoidance(best),
                 None => drawn,
@@ -83,15 +83,15 @@ impl FileScenarios {
         format!("left out of the recordings: {}", self.left_out.len())
     }
 
-    fn overview_table(&self) -> Table {
+    fn overview_table(&self) -> ReportTable {
         let names =
             self.scenarios.first().map_or(&[][..], |scenario| &scenario.cases).iter().map(|c| c.controller.as_str());
         let header: Vec<&str> = std::iter::once("scenario").chain(names).chain(["best escape found"]).collect();
-        let mut table = Table::new(&header);
+        let mut table = ReportTable::new(&header);
         for scenario in &self.scenarios {
-            let cells = scenario.cases.iter().map(|case| Cell::marked(words(case), case.verdict.mark()));
-            let best = Cell::text(scenario.best.as_ref().map_or("–".to_owned(), Best::brief));
-            table.row(std::iter::once(Cell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
+            let cells = scenario.cases.iter().map(|case| ReportCell::with_mark(format_case(case), case.verdict.mark()));
+            let best = ReportCell::text(scenario.avoidance.as_ref().map_or("–".to_owned(), RoundedAvoidance::label));
+            table.push_row(std::iter::once(ReportCell::text(&scenario.scenario)).chain(cells).chain([best]).collect());
         }
         table
     }
@@ -114,14 +114,14 @@ pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
     format!("scenarios/{}.toml", file_stem(&scenario.spec().name))
 }
 
-fn format_case(case: &Case) -> String {
+fn format_case(case: &CaseResult) -> String {
     let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m].into_iter().flatten();
     match (gaps.min_by(|a, b| a.value().total_cmp(&b.value())), &case.verdict) {
         (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: None }) => format!("{gap_m} m"),
         (Some(gap_m), CaseVerdict::Safe { closing_ttc_s: Some(ttc_s) }) => {
             format!("{gap_m} m, closing (TTC {ttc_s} s)")
         }
-        _ => case.verdict.words(),
+        _ => case.verdict.describe(),
     }
 }
 
@@ -129,20 +129,20 @@ const INTRODUCTION: &str = "Each scenario that the configuration names, and each
     behind a vehicle under test, or the first contact. \"Closing\" is a run that ended while two vehicles still approached \
     each other: the scenario was over before its story was.";
 
-impl Part for FileScenarios {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for FileScenarios {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Recorded traffic and other scenarios".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
         out.paragraph(INTRODUCTION);
-        out.html(html! { p { (REGRET_EXPLANATION) " It was looked for in the scenarios shown in detail." } });
-        out.markdown().paragraph(REGRET_EXPLANATION);
-        out.table(&self.overview());
+        out.push_html(html! { p { (REGRET_EXPLANATION) " It was looked for in the scenarios shown in detail." } });
+        out.markdown_mut().paragraph(REGRET_EXPLANATION);
+        out.table(&self.overview_table());
         if !self.left_out.is_empty() {
-            out.markdown().paragraph(self.describe_left_out() + ":");
-            out.folded(&self.describe_left_out(), |out| out.list(&self.left_out));
+            out.markdown_mut().paragraph(self.describe_left_out() + ":");
+            out.collapsible(&self.describe_left_out(), |out| out.list(&self.left_out));
         }
         let details = match telling.len() < self.scenarios.len() {
             true => format!(
@@ -152,15 +152,15 @@ impl Part for FileScenarios {
             ),
             false => "Details, closest first:".to_owned(),
         };
-        out.html(html! {
+        out.push_html(html! {
             p { (details) }
             @for scenario in telling {
                 details {
                     summary { (scenario.scenario) }
                     p { (scenario.about) }
                     p { (scenario.describe_avoidance()) }
-                    (scenario.table().html())
-                    details { summary { "further measures" } (scenario.further_measures().html()) }
+                    (scenario.table().to_html())
+                    details { summary { "further measures" } (scenario.further_measures().to_html()) }
                     @for case in &scenario.cases { (scenario.collapsible_figure(case)) }
                 }
             }

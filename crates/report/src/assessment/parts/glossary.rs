@@ -1,8 +1,8 @@
 //! The words of the report.
 
-use crate::assessment::Part;
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
+use crate::assessment::ReportPart;
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
 
 /// What the words of the report mean.
 #[derive(Debug, Clone, Copy)]
@@ -46,15 +46,15 @@ const TERMS: [(&str, &str); 23] = [
     ("undecided", "nobody's escape was found, and no proof that there is none"),
 ];
 
-impl Part for Glossary {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for Glossary {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("glossary", "Glossary".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.table(&Table::of(
+    fn write(&self, out: &mut ReportDocument) {
+        out.table(&ReportTable::from_items(
             TERMS,
-            &[("word", &|(word, _)| Cell::text(word)), ("meaning", &|(_, meaning)| Cell::text(meaning))],
+            &[("word", &|(word, _)| ReportCell::text(word)), ("meaning", &|(_, meaning)| ReportCell::text(meaning))],
         ));
     }
 }

@@ -3,11 +3,11 @@
 use serde::Serialize;
 
 use super::{PaperScenarios, ScenarioCases};
-use crate::assessment::case::Case;
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessmentPlan, Part, Rounded};
-use crate::draw::{Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, TaggedLine};
+use crate::assessment::case::CaseResult;
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentPlan, ReportPart, Rounded};
+use crate::draw::{Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, TaggedLine};
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{CurvePoint, LearningCurve, Policy};
 use crumple_world::sim::{Trace, Track};
@@ -78,40 +78,40 @@ impl LearnedPolicies {
         let mut figures = Vec::new();
         for scenario in &paper.scenarios {
             let shown: Vec<_> = scenario.cases.iter().filter(|case| is_shown(&case.controller)).collect();
-            braking.extend(shown.iter().filter_map(|case| BrakingTimes::of(scenario, case)));
+            braking.extend(shown.iter().filter_map(|case| BrakingTimes::new(scenario, case)));
             for case in shown.iter().filter(|case| case.motion.is_some()) {
                 let name = format!("{}, {}", scenario.scenario, case.controller);
-                figures.extend(case.motion.as_ref().map(|(trace, _)| (name.clone(), accelerations(&name, trace))));
+                figures.extend(case.motion.as_ref().map(|(trace, _)| (name.clone(), draw_accelerations(&name, trace))));
             }
         }
-        let policies = learned.iter().map(|(name, policy)| LearnedPolicy::of(name, policy)).collect();
+        let policies = learned.iter().map(|(name, policy)| LearnedPolicy::new(name, policy)).collect();
         let has_reference = learned.iter().any(|(name, _)| name == ControllerSpec::Policy(Default::default()).name());
         let learning_curve = has_reference.then(|| serde_json::from_str(REFERENCE_CURVE).ok()).flatten();
         Some(Self { policies, braking, learning_curve, figures })
     }
 
-    fn origin_table(&self) -> Table {
-        Table::of(
+    fn origin_table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.policies,
             &[
-                ("policy", &|policy| Cell::text(&policy.name)),
-                ("trained by", &|policy| Cell::text(&policy.origin)),
-                ("network", &|policy| Cell::text(&policy.network)),
-                ("SHA-256", &|policy| Cell::digest(&policy.sha256)),
+                ("policy", &|policy| ReportCell::text(&policy.name)),
+                ("trained by", &|policy| ReportCell::text(&policy.origin)),
+                ("network", &|policy| ReportCell::text(&policy.network)),
+                ("SHA-256", &|policy| ReportCell::digest(&policy.sha256)),
             ],
         )
     }
 
-    fn braking_table(&self) -> Table {
-        Table::of(
+    fn braking_table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.braking,
             &[
-                ("scenario, controller", &|one| Cell::text(format!("{}, {}", one.scenario, one.controller))),
-                ("leader brakes (s)", &|one| Cell::optional(one.leader_brakes_s)),
-                ("ego brakes (s)", &|one| Cell::optional(one.ego_brakes_s)),
-                ("follower's AEB fires (s)", &|one| Cell::optional(one.follower_brakes_s)),
-                ("ego's peak brake in the second before (m/s²)", &|one| Cell::optional(one.ego_brake_before_mps2)),
-                ("ego's peak acceleration after (m/s²)", &|one| Cell::optional(one.ego_acceleration_after_mps2)),
+                ("scenario, controller", &|one| ReportCell::text(format!("{}, {}", one.scenario, one.controller))),
+                ("leader brakes (s)", &|one| ReportCell::optional(one.leader_brakes_s)),
+                ("ego brakes (s)", &|one| ReportCell::optional(one.ego_brakes_s)),
+                ("follower's AEB fires (s)", &|one| ReportCell::optional(one.follower_brakes_s)),
+                ("ego's peak brake in the second before (m/s²)", &|one| ReportCell::optional(one.ego_brake_before_mps2)),
+                ("ego's peak acceleration after (m/s²)", &|one| ReportCell::optional(one.ego_acceleration_after_mps2)),
             ],
         )
     }
@@ -138,7 +138,7 @@ impl LearnedPolicy {
 
 impl BrakingTimes {
     /// In the paper's scenarios vehicle 0 leads, vehicle 1 is the first under test, and the last one follows.
-    fn new(scenario: &ScenarioCases, case: &Case) -> Option<Self> {
+    fn new(scenario: &ScenarioCases, case: &CaseResult) -> Option<Self> {
         let (trace, _) = case.motion.as_ref()?;
         let [leader, ego, .., follower] = trace.vehicles.as_slice() else { return None };
         let brakes_s = |track: &Track| {
@@ -169,19 +169,19 @@ impl BrakingTimes {
 /// Acceleration of every vehicle over time.
 fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     let (width, height) = (720.0, 200.0);
-    let frame = Frame { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: width - LEFT_MARGIN - 16.0, height };
+    let frame = PixelRect { left: LEFT_MARGIN, top: HEADING_HEIGHT, width: width - LEFT_MARGIN - 16.0, height };
     let end_s = trace.time_s.last().copied().unwrap_or(1.0);
-    let time = Axis::numbers("Time (s)", (0.0, end_s), 8);
-    let mut panel = Panel::new(frame, &format!("Acceleration (m/s²): {name}"), time, Axis::numbers("", (-8.0, 4.0), 6));
+    let time = Axis::numeric("Time (s)", (0.0, end_s), 8);
+    let mut panel = Panel::new(frame, &format!("Acceleration (m/s²): {name}"), time, Axis::numeric("", (-8.0, 4.0), 6));
     let mut tags = Vec::new();
     for (index, track) in trace.vehicles.iter().enumerate() {
         let samples = trace.time_s.iter().zip(&track.acceleration_mps2).zip(&track.speed_mps);
         // At rest an acceleration is a command to the brakes, not motion.
         let points: Vec<_> = samples.map(|((&t, &a), &v)| (t, if v > 0.0 { a } else { 0.0 })).collect();
-        panel.line(&points, Stroke::series(index));
+        panel.add_line(&points, Stroke::series(index));
         tags.push(TaggedLine { points, tag: index.to_string(), ink: Ink::Series(index) });
     }
-    panel.tags(&tags);
+    panel.add_tags(&tags);
     let prefix = format!("acceleration-{name}");
     let description = "Acceleration of every vehicle over time, numbered from the front.";
     Svg::new(&prefix, (width, HEADING_HEIGHT + height + BOTTOM_MARGIN), name, description, panel.draw(&Svg::id(&prefix, "panel")))
@@ -207,21 +207,21 @@ fn describe_learning_curve(curve: &LearningCurve) -> String {
     )
 }
 
-impl Part for LearnedPolicies {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for LearnedPolicies {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("learned", "How the learned policy drives".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.table(&self.origins());
+    fn write(&self, out: &mut ReportDocument) {
+        out.table(&self.origin_table());
         if let Some(curve) = &self.learning_curve {
-            out.figure(crate::figures::learning_curve(curve));
-            out.paragraph(&in_words(curve));
+            out.figure(crate::figures::draw_learning_curve(curve));
+            out.paragraph(&describe_learning_curve(curve));
         }
         out.paragraph(INTRODUCTION);
-        out.table(&self.times());
+        out.table(&self.braking_table());
         for (name, figure) in &self.figures {
-            out.folded(&format!("accelerations: {name}"), |out| out.html(figure));
+            out.collapsible(&format!("accelerations: {name}"), |out| out.push_html(figure));
         }
     }
 }

@@ -4,10 +4,10 @@ use crumple_verify::Statement;
 use maud::html;
 use serde::Serialize;
 
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::figure_layout::GivenCertificate;
-use crate::assessment::{AssessmentPlan, Part};
+use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_world::observation::EstimatorKind;
 
 /// Assumptions and limits.
@@ -95,16 +95,16 @@ impl AssessmentLimits {
     }
 }
 
-impl Part for AssessmentLimits {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for AssessmentLimits {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("limits", "What this does not show".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.html(
+    fn write(&self, out: &mut ReportDocument) {
+        out.push_html(
             html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },
         );
-        let line = |limit: &LimitingAssumption| Inline::strong(&format!("{}.", limit.assumed)).and(&format!(" {}", limit.meaning));
-        out.markdown().list(self.assumptions.iter().map(line));
+        let line = |limit: &LimitingAssumption| Inline::strong(&format!("{}.", limit.assumed)).and_prose(&format!(" {}", limit.meaning));
+        out.markdown_mut().list(self.assumptions.iter().map(line));
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::{AssessError, Rounded};
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::{Parameter, Space};
+use crumple_world::scenario::space::{SpaceParameter, ScenarioSpace};
 
 /// A parameter that varies over a map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,11 +39,11 @@ pub struct FixedParameter {
 
 impl FailureMapAxis {
     /// The middles of as many cells over the parameter's range, as they are shown.
-    pub(super) fn new(space: &Space, parameter: &Parameter, title: &str, cells: usize) -> Self {
+    pub(super) fn new(space: &ScenarioSpace, parameter: &SpaceParameter, title: &str, cells: usize) -> Self {
         let [low, high] = parameter.range();
         let at = |share: f64| {
             let mut point = space.point(&space.nominal());
-            set(&mut point, parameter, share);
+            set_parameter(&mut point, parameter, share);
             space.values(&point).get(parameter.coordinates().start).copied().unwrap_or(low)
         };
         let values = (0..cells).map(|cell| Rounded::new(at((cell as f64 + 0.5) / cells as f64))).collect();
@@ -56,19 +56,19 @@ impl FailureMapAxis {
             low: low.into(),
             high: high.into(),
             values,
-            by_factor,
+            is_logarithmic: by_factor,
         }
     }
 
     /// Where on the axis a value stands: 0 at its start, 1 at its end.
     pub(super) fn normalize(&self, value: f64) -> f64 {
         let (low, high) = (self.low.value(), self.high.value());
-        if self.by_factor { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
+        if self.is_logarithmic { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) }
     }
 }
 
 /// Sets every coordinate of a parameter.
-fn set_parameter(values: &mut [f64], parameter: &Parameter, to: f64) {
+fn set_parameter(values: &mut [f64], parameter: &SpaceParameter, to: f64) {
     for value in values.get_mut(parameter.coordinates()).unwrap_or_default() {
         *value = to;
     }
@@ -76,14 +76,14 @@ fn set_parameter(values: &mut [f64], parameter: &Parameter, to: f64) {
 
 /// The scenario of every cell, row by row from the top, each row from the left.
 pub(super) fn grid_scenarios(
-    space: &Space,
-    (across, up): (&Parameter, &Parameter),
+    space: &ScenarioSpace,
+    (across, up): (&SpaceParameter, &SpaceParameter),
     axes: &(FailureMapAxis, FailureMapAxis),
 ) -> Result<Vec<Scenario>, AssessError> {
     let at = |x: Rounded<2>, y: Rounded<2>| {
         let mut values = space.nominal();
-        set(&mut values, across, x.value());
-        set(&mut values, up, y.value());
+        set_parameter(&mut values, across, x.value());
+        set_parameter(&mut values, up, y.value());
         Ok(space.scenario(&values)?)
     };
     let cells = axes.1.values.iter().rev().flat_map(|&y| axes.0.values.iter().map(move |&x| (x, y)));
@@ -91,14 +91,14 @@ pub(super) fn grid_scenarios(
 }
 
 /// What does not vary.
-pub(super) fn fixed_parameters(space: &Space, varied: (&Parameter, &Parameter)) -> Vec<Held> {
+pub(super) fn fixed_parameters(space: &ScenarioSpace, varied: (&SpaceParameter, &SpaceParameter)) -> Vec<FixedParameter> {
     let others = space.parameters().iter().filter(|p| p.name() != varied.0.name() && p.name() != varied.1.name());
-    let one = |parameter: &Parameter| {
-        let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.show(value)).collect();
+    let one = |parameter: &SpaceParameter| {
+        let mut shown: Vec<String> = parameter.nominal().iter().map(|&value| parameter.format_value(value)).collect();
         shown.dedup();
         let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
         let value = format!("{} {unit}", shown.join(", "));
-        Held { parameter: parameter.name().to_owned(), value: value.trim_end().to_owned() }
+        FixedParameter { parameter: parameter.name().to_owned(), value: value.trim_end().to_owned() }
     };
     others.map(one).collect()
 }

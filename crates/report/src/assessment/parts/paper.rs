@@ -4,15 +4,15 @@ use maud::html;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{ScenarioCases, scenarios};
+use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
-use crate::assessment::case::{Case, Motion, run_cases};
+use crate::assessment::case::{CaseResult, MotionRetention, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
-use crate::assessment::document::Document;
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part};
+use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
 use crate::draw::Svg;
-use crumple_world::scenario::{Scenario, built_in, built_in_names};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
 
 /// Every controller in the paper's three scenarios.
 #[derive(Debug, Clone, Serialize)]
@@ -35,30 +35,30 @@ impl PaperScenarios {
     /// Those of the paper, by the seed of the plan; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
-        let known = built_in_names().into_iter().filter(|_| plan.config.paper).filter_map(|(name, _)| built_in(name));
+        let known = built_in_scenario_names().into_iter().filter(|_| plan.config.paper).filter_map(|(name, _)| built_in_scenario(name));
         Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
     }
 
     /// None if the plan leaves the paper out.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         if !plan.config.paper {
             return Ok(None);
         }
         let scenarios = Self::scenarios(plan)?;
         let all: Vec<&Scenario> = scenarios.iter().collect();
-        let cases = run_cases(&all, &plan.controllers, plan.config.estimator, Motion::Kept)?;
-        work.did((all.len() * plan.controllers.len()) as u64)?;
+        let cases = run_cases(&all, &plan.controllers, plan.config.estimator, MotionRetention::Keep)?;
+        work.add_runs((all.len() * plan.controllers.len()) as u64)?;
         let bests =
-            all.par_iter().map(|scenario| CertifiedAvoidance::kept(scenario, work)).collect::<Result<Vec<_>, _>>()?;
+            all.par_iter().map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work)).collect::<Result<Vec<_>, _>>()?;
         let scenarios = scenarios
             .iter()
             .zip(cases)
             .zip(bests)
             .map(|((scenario, cases), best)| {
-                let mut replay = Command::new(["simulate", scenario.spec().name.as_str()])
-                    .and(plan.estimator_args().iter().copied());
+                let mut replay = CrumpleCommand::new(["simulate", scenario.spec().name.as_str()])
+                    .with_args(plan.estimator_args().iter().copied());
                 if plan.config.seed != 0 {
-                    replay = replay.and(["--seed".to_owned(), plan.config.seed.to_string()]);
+                    replay = replay.with_args(["--seed".to_owned(), plan.config.seed.to_string()]);
                 }
                 ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
             })
@@ -67,7 +67,7 @@ impl PaperScenarios {
         let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].kind.is_learned());
         let beside =
             [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
-        Ok(Some(Self { scenarios, beside: beside.collect() }))
+        Ok(Some(Self { scenarios, side_by_side: beside.collect() }))
     }
 }
 
@@ -85,16 +85,16 @@ impl PaperScenarios {
     /// The figures that stand beside each other, as files.
     pub(in crate::assessment) fn figure_files(&self) -> impl Iterator<Item = (String, Svg)> {
         self.scenarios.iter().map(|scenario| {
-            let (beside, _) = self.split(scenario);
-            (format!("figures/{}.svg", scenario.scenario), scenario.plate(&beside))
+            let (beside, _) = self.split_cases(scenario);
+            (format!("figures/{}.svg", scenario.scenario), scenario.combined_figure(&beside))
         })
     }
 
     /// The cases to show beside each other, and the others.
-    fn split_cases<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a Case>, Vec<&'a Case>) {
+    fn split_cases<'a>(&self, scenario: &'a ScenarioCases) -> (Vec<&'a CaseResult>, Vec<&'a CaseResult>) {
         let numbered = scenario.cases.iter().enumerate();
-        let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.beside.contains(index));
-        let cases = |numbered: Vec<(usize, &'a Case)>| numbered.into_iter().map(|(_, case)| case).collect();
+        let (beside, others): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| self.side_by_side.contains(index));
+        let cases = |numbered: Vec<(usize, &'a CaseResult)>| numbered.into_iter().map(|(_, case)| case).collect();
         (cases(beside), cases(others))
     }
 }
@@ -110,25 +110,25 @@ const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s²; behind it, at
     under test that fared worst by it, up to the first contact. The pile-up is what follows when everybody drives on and \
     vehicles that touch stick together.";
 
-impl Part for PaperScenarios {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for PaperScenarios {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "The paper's scenarios".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        [INTRODUCTION, REGRET_EXPLANATION, MEASURES].iter().for_each(|words| out.paragraph(words));
+    fn write(&self, out: &mut ReportDocument) {
+        [INTRODUCTION, REGRET_EXPLANATION, MEASURES_NOTE].iter().for_each(|words| out.paragraph(words));
         for scenario in &self.scenarios {
-            let (beside, others) = self.split(scenario);
+            let (beside, others) = self.split_cases(scenario);
             out.heading(&scenario.scenario);
             out.paragraph(&scenario.about);
             out.figure(scenario.figures_side_by_side(&beside));
-            out.html(html! { p.replay { @for case in &beside { (scenario.replay_html(case)) } } });
+            out.push_html(html! { p.replay { @for case in &beside { (scenario.replay_html(case)) } } });
             if let (true, Some(first)) = (scenario.scenario == ANIMATED_SCENARIO, scenario.cases.first()) {
                 out.figure(scenario.animation(first));
             }
             out.paragraph(&scenario.describe_avoidance());
             scenario.write_tables(out);
-            others.iter().for_each(|case| out.html(scenario.collapsible_figure(case)));
+            others.iter().for_each(|case| out.push_html(scenario.collapsible_figure(case)));
         }
     }
 }

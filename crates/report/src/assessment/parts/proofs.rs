@@ -5,13 +5,13 @@ use maud::html;
 use serde::Serialize;
 
 use super::ScenarioCases;
-use super::certificates::{self, Proof, CertificateStatus, CertificateSubject};
-use crate::assessment::claims::{Claim, Domain, Evidence, Strength};
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
-use crumple_world::control::Kernel;
+use super::certificates::{self, CheckedCertificate, CertificateStatus, CertificateSubject};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, Strength};
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
+use crumple_world::control::ViabilityKernel;
 use crumple_world::scenario::VehicleClass;
 
 /// Certificates, each checked in this very run.
@@ -21,7 +21,7 @@ pub struct Proofs {
     /// What the shield's kernels demand, one entry a pair of vehicle classes.
     pub kernels: Vec<KernelGap>,
     /// Every certificate.
-    pub certificates: Vec<Proof>,
+    pub certificates: Vec<CheckedCertificate>,
     /// What has to hold besides for a shield to keep the vehicle ahead untouched.
     pub conditions: [&'static str; 4],
 }
@@ -55,13 +55,13 @@ const CONDITIONS: [&str; 4] = [
 impl Proofs {
     pub(in crate::assessment) fn gather<'a>(
         plan: &AssessmentPlan,
-        work: &Work<'_>,
+        work: &GatherContext<'_>,
         scenarios: impl Iterator<Item = &'a ScenarioCases>,
     ) -> Result<Self, AssessError> {
         let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         Ok(Self {
-            kernels: pairs.map(|(own, ahead)| KernelGap::of(own, ahead)).collect(),
-            certificates: certificates::gather(plan, work, scenarios.filter_map(ScenarioCases::certified))?,
+            kernels: pairs.map(|(own, ahead)| KernelGap::new(own, ahead)).collect(),
+            certificates: certificates::gather_certificates(plan, work, scenarios.filter_map(ScenarioCases::named_certificate))?,
             conditions: CONDITIONS,
         })
     }
@@ -72,10 +72,10 @@ impl Proofs {
     }
 
     /// The claims that certificates make about boxes of starts, each domain once.
-    pub(super) fn reach_claims(&self) -> Vec<&Claim> {
-        let mut boxes: Vec<&Claim> = Vec::new();
+    pub(super) fn reach_claims(&self) -> Vec<&AssuranceClaim> {
+        let mut boxes: Vec<&AssuranceClaim> = Vec::new();
         for proof in &self.certificates {
-            if let CertificateSubject::Claim(claim) = &proof.speaks_of
+            if let CertificateSubject::Claim(claim) = &proof.subject
                 && matches!(claim.domain, Domain::Box { .. })
                 && !boxes.iter().any(|known| known.domain == claim.domain)
             {
@@ -85,39 +85,39 @@ impl Proofs {
         boxes
     }
 
-    fn gap_table(&self) -> Table {
+    fn gap_table(&self) -> ReportTable {
         let [own, ahead] = EXAMPLE_MPS;
         let example = format!("gap demanded at {own} m/s behind {ahead} m/s (m)");
-        Table::of(
+        ReportTable::from_items(
             &self.kernels,
             &[
-                ("own class behind class ahead", &|kernel| Cell::text(&kernel.pair)),
-                ("own brake (m/s²)", &|kernel| Cell::number(kernel.own_brake_mps2)),
-                ("hardest brake ahead (m/s²)", &|kernel| Cell::number(kernel.ahead_brake_mps2)),
-                (&example, &|kernel| Cell::number(kernel.example_gap_m)),
+                ("own class behind class ahead", &|kernel| ReportCell::text(&kernel.pair)),
+                ("own brake (m/s²)", &|kernel| ReportCell::number(kernel.own_brake_mps2)),
+                ("hardest brake ahead (m/s²)", &|kernel| ReportCell::number(kernel.ahead_brake_mps2)),
+                (&example, &|kernel| ReportCell::number(kernel.example_gap_m)),
             ],
         )
     }
 
-    fn table(&self) -> Table {
-        Table::of(
+    fn table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.certificates,
             &[
-                ("certificate", &|proof| Cell::text(&proof.name)),
-                ("about", &|proof| Cell::text(&proof.about)),
+                ("certificate", &|proof| ReportCell::text(&proof.name)),
+                ("about", &|proof| ReportCell::text(&proof.about)),
                 ("what is shown", &|proof| match proof.status {
-                    CertificateStatus::NothingShown { .. } => Cell::text(proof.status.words()),
-                    _ => Cell::judged(proof.status.words(), proof.is_accepted()),
+                    CertificateStatus::NothingShown { .. } => ReportCell::text(proof.status.describe()),
+                    _ => ReportCell::with_verdict(proof.status.describe(), proof.is_accepted()),
                 }),
-                ("of whom here", &|proof| Cell::text(proof.speaks_of.words())),
-                ("SHA-256", &|proof| Cell::digest(&proof.sha256)),
+                ("of whom here", &|proof| ReportCell::text(proof.subject.describe())),
+                ("SHA-256", &|proof| ReportCell::digest(&proof.sha256)),
             ],
         )
     }
 
     /// How surely all bounds hold at once, if there are several: what each leaves open is added up.
     fn joint_confidence(&self) -> Option<String> {
-        let open = |proof: &Proof| match &proof.status {
+        let open = |proof: &CheckedCertificate| match &proof.status {
             CertificateStatus::Accepted {
                 strength:
                     Some(Strength::Between { confidence_percent, .. } | Strength::Counted { confidence_percent, .. }),
@@ -152,7 +152,7 @@ impl Proofs {
 
 impl KernelGap {
     fn new(own: VehicleClass, ahead: VehicleClass) -> Self {
-        let kernel = Kernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
+        let kernel = ViabilityKernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
         let [own_mps, ahead_mps] = EXAMPLE_MPS;
         Self {
             pair: format!("{}-behind-{}", own.name(), ahead.name()),
@@ -174,18 +174,18 @@ const INTRODUCTION: &str = "Each claim here is a file that the checker accepted;
 
 const RECHECK: &str = "Check again, in the folder of this report: `crumple check --rerun certificates/*.json`";
 
-impl Part for Proofs {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for Proofs {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("proofs", "Proofs".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         out.table(&self.table());
         out.paragraph(RECHECK);
-        out.html(html! { h3 { "What the kernels demand" } });
-        out.table(&self.gaps());
-        out.html(html! { h3 { "What the proofs take for granted" } });
+        out.push_html(html! { h3 { "What the kernels demand" } });
+        out.table(&self.gap_table());
+        out.push_html(html! { h3 { "What the proofs take for granted" } });
         out.list(&self.assumptions());
     }
 }

@@ -3,10 +3,10 @@
 use maud::html;
 use serde::Serialize;
 
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, Part, Store};
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceHash, ReportPart, EvidenceCache};
 use crumple_core::digest::sha256;
 
 /// When, by what and where an assessment was made. No evidence depends on it.
@@ -43,7 +43,7 @@ pub struct AssessmentProvenance {
 }
 
 impl AssessmentProvenance {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &Store) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &EvidenceCache) -> Self {
         // `Debug` writes every field of both, and cannot fail as a serializer can.
         let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
         let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
@@ -54,17 +54,17 @@ impl AssessmentProvenance {
             config: plan.config.clone(),
             config_sha256: sha256(&all),
             evidence: store.hashes(),
-            made: None,
+            build_info: None,
         }
     }
 
-    fn hash_table(&self) -> Table {
-        Table::of(
+    fn hash_table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.evidence,
             &[
-                ("evidence", &|hash| Cell::text(&hash.name)),
-                ("from inputs, SHA-256", &|hash| Cell::digest(&hash.inputs_sha256)),
-                ("says, SHA-256", &|hash| Cell::digest(&hash.evidence_sha256)),
+                ("evidence", &|hash| ReportCell::text(&hash.name)),
+                ("from inputs, SHA-256", &|hash| ReportCell::digest(&hash.inputs_sha256)),
+                ("says, SHA-256", &|hash| ReportCell::digest(&hash.evidence_sha256)),
             ],
         )
     }
@@ -78,7 +78,7 @@ impl AssessmentProvenance {
             ("seed", self.config.seed.to_string()),
             (
                 "searches",
-                format!("{}, {} evaluations a method", self.config.searched().join(", "), self.config.search.budget),
+                format!("{}, {} evaluations a method", self.config.search_spaces().join(", "), self.config.search.budget),
             ),
             (
                 "counted runs",
@@ -116,19 +116,19 @@ const CACHE_NOTE: &str = "Evidence may have been kept in the folder `evidence` b
     inputs. Its hashes tell what was cut, edited or swapped since; they are no protection against somebody who wrote numbers and \
     hashes anew. What the checker says of the certificates listed here was said in this run. With `--fresh` everything is gathered again.";
 
-impl Part for AssessmentProvenance {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for AssessmentProvenance {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("provenance", "Provenance".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        out.html(html! {
-            @if let Some(made) = &self.made { p #made { "Made " (made.words()) "." } }
+    fn write(&self, out: &mut ReportDocument) {
+        out.push_html(html! {
+            @if let Some(made) = &self.build_info { p #made { "Made " (made.describe()) "." } }
             dl { @for (name, value) in self.lines() { dt { (name) } dd { (value) } } }
         });
-        out.paragraph(KEPT);
-        out.html(html! { details { summary { "hashes of the evidence" } (self.hashes().html()) } });
-        let lines = self.made.iter().map(|made| ("made", made.words())).chain(self.lines());
-        out.markdown().list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
+        out.paragraph(CACHE_NOTE);
+        out.push_html(html! { details { summary { "hashes of the evidence" } (self.hash_table().to_html()) } });
+        let lines = self.build_info.iter().map(|made| ("made", made.describe())).chain(self.lines());
+        out.markdown_mut().list(lines.map(|(name, value)| Inline::prose(&format!("{name}: ")).and_code(value)));
     }
 }

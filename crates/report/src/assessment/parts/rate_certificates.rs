@@ -2,11 +2,11 @@
 
 use crumple_verify::{Certificate, Registration, Statement};
 
-use super::certificates::{Proof, CertificateStatus, between, counts_others, proof};
+use super::certificates::{CheckedCertificate, CertificateStatus, rate_strength, includes_others, check_certificate};
 use crate::assessment::claims::Strength;
 use crate::assessment::figure_layout::{NamedSpace, file_stem};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Rounded, StoreError};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
 use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
 use crumple_world::sim::NamedController;
 
@@ -56,8 +56,8 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     counted
 }
 
-pub(super) fn gather_rate_certificates(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Vec<Proof>, AssessError> {
-    let proofs = planned_rate_counts(plan).into_iter().map(|counted| count(plan, work, counted));
+pub(super) fn gather_rate_certificates(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Vec<CheckedCertificate>, AssessError> {
+    let proofs = planned_rate_counts(plan).into_iter().map(|counted| count_rate(plan, work, counted));
     proofs.collect()
 }
 
@@ -67,12 +67,12 @@ pub(in crate::assessment) fn rate_count_names(plan: &AssessmentPlan) -> Vec<Stri
 }
 
 /// That of a name.
-pub(in crate::assessment) fn gather_rate_certificate(plan: &AssessmentPlan, name: &str, work: &Work<'_>) -> Result<(), AssessError> {
+pub(in crate::assessment) fn gather_rate_certificate(plan: &AssessmentPlan, name: &str, work: &GatherContext<'_>) -> Result<(), AssessError> {
     let named = planned_rate_counts(plan).into_iter().find(|counted| counted.name == name);
-    named.map_or(Ok(()), |counted| count(plan, work, counted).map(drop))
+    named.map_or(Ok(()), |counted| count_rate(plan, work, counted).map(drop))
 }
 
-fn count_rate(plan: &AssessmentPlan, work: &Work<'_>, counted: PlannedRateCount<'_>) -> Result<Proof, AssessError> {
+fn count_rate(plan: &AssessmentPlan, work: &GatherContext<'_>, counted: PlannedRateCount<'_>) -> Result<CheckedCertificate, AssessError> {
     let PlannedRateCount { name, space, controller, against } = counted;
     let rates = RatePlan::new(RateConfig {
         against,
@@ -82,14 +82,14 @@ fn count_rate(plan: &AssessmentPlan, work: &Work<'_>, counted: PlannedRateCount<
         ..RateConfig::new(controller, space.space.clone(), plan.config.rates.runs)
     })?;
     // A line with the certificate, and one with who gave no answer, if somebody did.
-    let kept: String = work.get(&name, rates.registration(), || {
-        let mut tally = rates.tally();
+    let kept: String = work.get_or_gather(&name, rates.registration(), || {
+        let mut tally = rates.empty_tally();
         while tally.runs < plan.config.rates.runs {
             let before = tally.runs;
             rates.count_batch(&mut tally)?;
-            work.did(tally.runs - before)?;
+            work.add_runs(tally.runs - before)?;
         }
-        let text = serde_json::to_string(&rates.certificate(&tally)).map_err(StoreError::encoding)?;
+        let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
         Ok::<_, AssessError>(match tally.unanswered_summary() {
             silent if silent.is_empty() => text,
             silent => format!("{text}\n{silent}"),
@@ -97,8 +97,8 @@ fn count_rate(plan: &AssessmentPlan, work: &Work<'_>, counted: PlannedRateCount<
     })?;
     let (text, silent) = kept.split_once('\n').unwrap_or((&kept, ""));
     let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    let mut proof = proof(plan, name, &certificate, None)?;
-    let counts_others = counts_others(plan, &certificate.statement);
+    let mut proof = check_certificate(plan, name, &certificate, None)?;
+    let counts_others = includes_others(plan, &certificate.statement);
     if let Some(status) = not_shown_status(&certificate.statement, counts_others, silent).filter(|_| !proof.is_accepted()) {
         proof.status = status;
     }
@@ -116,12 +116,12 @@ fn not_shown_status(statement: &Statement, counts_others: bool, silent: &str) ->
                 counted: format!(
                     "only the first failed in {only_first} runs, only the second in {only_second}{silent}"
                 ),
-                strength: Strength::CountedInVain { confidence_percent: Rounded::down(100.0 * confidence), runs },
+                strength: Strength::NotShownByCounting { confidence_percent: Rounded::down(100.0 * confidence), runs },
             })
         }
         Statement::Rate(rate) => Some(CertificateStatus::NothingShown {
             counted: format!("{} of {} runs failed{silent}", rate.failures, rate.registration.runs),
-            strength: between(rate, 1.0, counts_others),
+            strength: rate_strength(rate, 1.0, counts_others),
         }),
         _ => None,
     }

@@ -3,20 +3,20 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::exposure::{exposed, on_the_road};
+use super::exposure::{rate_per_exposure, exposure_table};
 use crate::assessment::case::{CaseVerdict, smallest};
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
-use crate::assessment::document::Document;
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
+use crate::assessment::document::ReportDocument;
 use crate::assessment::figure_layout::NamedSpace;
-use crate::assessment::table::{Cell, Column, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded};
-use crate::draw::{Axis, Frame, Ink, Marker, Panel, Stroke, Svg, text_width};
+use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
+use crate::draw::{Axis, PixelRect, Ink, Marker, Panel, Stroke, Svg, text_width};
 use crumple_evidence::RateInterval;
-use crumple_evidence::exposure::{ExposedRate, FailureProbability};
+use crumple_evidence::exposure::{RatePerExposure, FailureProbability};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,
+    NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, FailedControllerRuns, simulate_batch,
 };
 
 /// Confidence of the intervals.
@@ -38,7 +38,7 @@ pub struct SpaceSamples {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSample {
     /// The space.
-    pub space: Known,
+    pub space: ContentId,
     /// Draws for each controller.
     pub draws: u64,
     /// Seed of the draws.
@@ -46,7 +46,7 @@ pub struct SpaceSample {
     /// Confidence of the intervals.
     pub confidence: f64,
     /// One entry a controller.
-    pub controllers: Vec<Sampled>,
+    pub controllers: Vec<ControllerSample>,
 }
 
 /// How one controller did on all draws.
@@ -59,7 +59,7 @@ pub struct ControllerSample {
     pub collisions: u64,
     /// Draws that ended because its controller gave no answer: failures, and no collisions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<Unanswered>,
+    pub unanswered: Option<FailedControllerRuns>,
     /// Draws that ended when vehicles that are not under test touched: they say nothing of the controller.
     pub cut_short: u64,
     /// Draws in which a vehicle under test hit the one ahead first.
@@ -77,7 +77,7 @@ pub struct ControllerSample {
     /// What failures come to per hour and per 1000 km; none where the space does not say in how much driving it was seen.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "exposed")]
-    pub rate_per_exposure: Option<ExposedRate>,
+    pub rate_per_exposure: Option<RatePerExposure>,
     /// How the first controller and this one fare on the same draws; none for the first itself.
     pub paired: Option<PairedCounts>,
 }
@@ -103,7 +103,7 @@ impl PercentInterval {
     /// The share of `count` in `total`, and its exact bounds, their ends rounded outwards. What those that were cut short would
     /// have come to is not known: they count where that is worse, and not where it is better.
     pub(super) fn clopper_pearson([count, cut_short]: [u64; 2], total: u64, confidence: f64) -> Self {
-        let bounds = |count| RateInterval::exact(count, total, confidence);
+        let bounds = |count| RateInterval::clopper_pearson(count, total, confidence);
         let observed = if total == 0 { 0.0 } else { count as f64 / total as f64 };
         Self {
             observed: Rounded::new(100.0 * observed),
@@ -132,7 +132,7 @@ pub(super) struct SampledRun {
     gaps_m: [Option<f64>; 2],
 }
 
-impl Sampled {
+impl ControllerSample {
     /// Draws that its controller gave no answer in.
     #[must_use]
     pub(crate) fn unanswered_runs(&self) -> u64 {
@@ -142,15 +142,15 @@ impl Sampled {
     /// Draws that it fails, in whatever way.
     #[must_use]
     pub fn failures(&self) -> u64 {
-        self.collisions.saturating_add(self.silent())
+        self.collisions.saturating_add(self.unanswered_runs())
     }
 
     /// What the draws say of the claim that it fails in fewer of them than another. Those in which the other gave no answer may have gone
     /// either way.
     fn strength_against(&self, other: &Self, draws: u64) -> Strength {
-        let beside = [other.collisions, other.cut_short.saturating_add(other.silent())];
-        match (Strength::compared([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
-            (Strength::Untried, Some(Unanswered { runs: unanswered, because })) => {
+        let beside = [other.collisions, other.cut_short.saturating_add(other.unanswered_runs())];
+        match (Strength::from_paired_counts([self.failures(), self.cut_short], beside, draws), &other.unanswered) {
+            (Strength::Untried, Some(FailedControllerRuns { runs: unanswered, because })) => {
                 Strength::OtherUnanswered { unanswered: *unanswered, runs: draws, because: because.clone() }
             }
             (strength, _) => strength,
@@ -170,7 +170,7 @@ impl Sampled {
 }
 
 impl SpaceSamples {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let of = |named: &NamedSpace| SpaceSample::gather(plan, named, work);
         Ok(Self { spaces: plan.distributions.iter().map(of).collect::<Result<_, _>>()? })
     }
@@ -181,17 +181,17 @@ impl SpaceSamples {
         for drawn in self.spaces.iter().filter(|drawn| drawn.draws > 0) {
             let space = || drawn.space.clone();
             let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.draws };
-            let source = || Source::part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
+            let source = || EvidenceSource::from_part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
             let first = plan.claimant(0, plan.config.estimator).zip(drawn.controllers.first());
             for (subject, sampled) in plan.claimants().into_iter().zip(&drawn.controllers) {
                 let mut add = |property, domain, strength| {
-                    let claim = Claim { subject: subject.clone(), property, domain };
+                    let claim = AssuranceClaim { subject: subject.clone(), property, domain };
                     all.push(Evidence { claim, strength, source: source() });
                 };
                 let telling = drawn.draws - sampled.cut_short;
                 let touching = Strength::from_counts_with_unanswered(sampled.collisions, telling, sampled.unanswered.as_ref(), true);
                 add(Property::NoContact, draws(), touching);
-                add(Property::OthersKeepClear, draws(), Strength::of(sampled.cut_short, drawn.draws));
+                add(Property::OthersKeepClear, draws(), Strength::from_counts(sampled.cut_short, drawn.draws));
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
                     let than = Property::FailsLessOften { than: first.controller.clone() };
@@ -207,13 +207,13 @@ impl SpaceSample {
     pub(in crate::assessment) fn gather(
         plan: &AssessmentPlan,
         named: &NamedSpace,
-        work: &Work<'_>,
+        work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-        work.get(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
+        work.get_or_gather(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
     }
 
-    fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &Work<'_>) -> Result<Self, AssessError> {
+    fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
         let config = &plan.config;
         let mut tallies: Vec<SampleTally> = plan.controllers.iter().map(|_| SampleTally::default()).collect();
         for from in (0..config.draws).step_by(BATCH_SIZE as usize) {
@@ -222,20 +222,20 @@ impl SpaceSample {
             let scenarios = (from..to).map(draw).collect::<Result<Vec<_>, _>>()?;
             let mut first: Vec<SampleOutcome> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
-                let draws = run_draws(&scenarios, controller, plan)?;
-                let fared: Vec<SampleOutcome> = draws.iter().map(|draw| SampleOutcome::of(&draw.verdict)).collect();
+                let draws = run_samples(&scenarios, controller, plan)?;
+                let fared: Vec<SampleOutcome> = draws.iter().map(|draw| SampleOutcome::from_verdict(&draw.verdict)).collect();
                 if first.is_empty() {
                     first.clone_from(&fared);
                 }
                 tally.add(&draws, first.iter().copied().zip(fared));
             }
-            work.did((to - from) * plan.controllers.len() as u64)?;
+            work.add_runs((to - from) * plan.controllers.len() as u64)?;
         }
         let finish = |(index, (controller, tally)): (usize, (&NamedController, SampleTally))| {
             let known =
                 FailureProbability::Counted { failures: tally.failures(), unknown: tally.cut_short, runs: tally.draws };
-            let exposed = exposed(plan, named, controller, known, work)?;
-            Ok(Sampled { exposed, ..tally.finish(controller, index > 0) })
+            let exposed = rate_per_exposure(plan, named, controller, known, work)?;
+            Ok(ControllerSample { rate_per_exposure: exposed, ..tally.finish(controller, index > 0) })
         };
         let controllers =
             plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
@@ -259,33 +259,33 @@ impl SpaceSample {
         )
     }
 
-    fn table(&self) -> Table {
+    fn table(&self) -> ReportTable {
         let first = self.controllers.first().map_or("", |sampled| sampled.controller.as_str());
         let only_first = format!("only {first} collides");
-        let columns: [Column<'_, &Sampled>; 13] = [
-            ("controller", &|one| Cell::text(&one.controller)),
-            ("collisions", &|one| Cell::judged(one.collisions, one.collisions + one.cut_short == 0)),
-            ("no answer", &|one| Cell::judged(one.silent(), one.silent() == 0)),
-            ("rate %", &|one| Cell::number(one.rate_percent.observed)),
-            ("bounds %", &|one| Cell::number(one.rate_percent.bounds())),
-            ("hit ahead", &|one| Cell::number(one.hit)),
-            ("hit from behind", &|one| Cell::number(one.was_hit)),
-            ("cut short by others", &|one| Cell::number(one.cut_short)),
-            ("min gap ahead m", &|one| Cell::optional(one.min_gap_ahead_m)),
-            ("min gap behind m", &|one| Cell::optional(one.min_gap_behind_m)),
-            ("mean impact m/s", &|one| Cell::optional(one.mean_impact_speed_mps)),
-            (&only_first, &|one| Cell::optional(one.paired.map(|paired| paired.only_first))),
-            ("only this one", &|one| Cell::optional(one.paired.map(|paired| paired.only_this))),
+        let columns: [ReportColumn<'_, &ControllerSample>; 13] = [
+            ("controller", &|one| ReportCell::text(&one.controller)),
+            ("collisions", &|one| ReportCell::with_verdict(one.collisions, one.collisions + one.cut_short == 0)),
+            ("no answer", &|one| ReportCell::with_verdict(one.unanswered_runs(), one.unanswered_runs() == 0)),
+            ("rate %", &|one| ReportCell::number(one.rate_percent.observed)),
+            ("bounds %", &|one| ReportCell::number(one.rate_percent.format_bounds())),
+            ("hit ahead", &|one| ReportCell::number(one.hit)),
+            ("hit from behind", &|one| ReportCell::number(one.was_hit)),
+            ("cut short by others", &|one| ReportCell::number(one.cut_short)),
+            ("min gap ahead m", &|one| ReportCell::optional(one.min_gap_ahead_m)),
+            ("min gap behind m", &|one| ReportCell::optional(one.min_gap_behind_m)),
+            ("mean impact m/s", &|one| ReportCell::optional(one.mean_impact_speed_mps)),
+            (&only_first, &|one| ReportCell::optional(one.paired.map(|paired| paired.only_first))),
+            ("only this one", &|one| ReportCell::optional(one.paired.map(|paired| paired.only_this))),
         ];
         let all_answered = self.controllers.iter().all(|sampled| sampled.unanswered.is_none());
-        Table::without(&self.controllers, &columns, all_answered.then_some(2))
+        ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
     /// Of each controller that gave no answer in some draws: in how many, and why.
     fn unanswered_notes(&self) -> Vec<String> {
         let silent = self.controllers.iter().filter_map(|sampled| Some((sampled, sampled.unanswered.as_ref()?)));
         let words = silent.map(|(sampled, silent)| {
-            format!("{} {}. That is a failure of it, and no collision.", sampled.controller, silent.words(self.draws))
+            format!("{} {}. That is a failure of it, and no collision.", sampled.controller, silent.describe(self.draws))
         });
         words.collect()
     }
@@ -294,17 +294,17 @@ impl SpaceSample {
         let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller.as_str()).collect();
         let left = names.iter().map(|name| text_width(name, crate::draw::SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 30.0 * names.len() as f64);
-        let frame = Frame { left, top: crate::draw::HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numbers("Collisions (% of draws)", (0.0, 100.0), 5);
+        let frame = PixelRect { left, top: crate::draw::HEADING_HEIGHT, width: width - left - 24.0, height };
+        let axis = Axis::numeric("Collisions (% of draws)", (0.0, 100.0), 5);
         let mut panel =
-            Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::names("", &names).reversed());
+            Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::categorical("", &names).reversed());
         for (index, sampled) in self.controllers.iter().enumerate() {
             let y = (names.len() - 1 - index) as f64;
             let PercentInterval { observed, lower, upper } = sampled.rate_percent;
             let ink = if sampled.failures() == 0 { Ink::Series(0) } else { Ink::Alert };
             let marker = if sampled.failures() == 0 { Marker::Ring } else { Marker::Cross };
-            panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
-            panel.marks(&[(observed.value(), y)], marker, ink);
+            panel.add_segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+            panel.add_markers(&[(observed.value(), y)], marker, ink);
         }
         let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
         let description = description.collect::<Vec<_>>().join(", ");
@@ -322,17 +322,17 @@ pub(super) fn run_samples(
 ) -> Result<Vec<SampledRun>, RunError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| SampledRun::of(runs[index].scenario(), &simulated)))
+    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| SampledRun::new(runs[index].scenario(), &simulated)))
 }
 
 impl SampledRun {
-    fn new(scenario: &Scenario, simulated: &Simulated) -> Self {
+    fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let gap_m = |behind: usize| {
             let of = |index: usize| simulated.vehicles.get(index + behind).and_then(|vehicle| vehicle.min_gap_m);
             smallest((0..simulated.vehicles.len()).filter(|&index| scenario.is_under_test(index)).map(of))
         };
         Self {
-            verdict: CaseVerdict::of(simulated, scenario),
+            verdict: CaseVerdict::new(simulated, scenario),
             impact_speed_mps: simulated.outcome.contact().map(|contact| contact.impact_speed_mps),
             gaps_m: [gap_m(0), gap_m(1)],
         }
@@ -351,7 +351,7 @@ enum SampleOutcome {
 impl SampleOutcome {
     fn from_verdict(verdict: &CaseVerdict) -> Self {
         match verdict {
-            CaseVerdict::ControllerFailed { .. } => Self::Silent,
+            CaseVerdict::ControllerFailed { .. } => Self::Unanswered,
             verdict if verdict.is_failure() => Self::Fails,
             _ => Self::Passes,
         }
@@ -363,7 +363,7 @@ impl SampleOutcome {
 struct SampleTally {
     draws: u64,
     collisions: u64,
-    unanswered: Option<Unanswered>,
+    unanswered: Option<FailedControllerRuns>,
     cut_short: u64,
     hit: u64,
     was_hit: u64,
@@ -378,8 +378,8 @@ impl SampleTally {
         for draw in draws {
             self.draws += 1;
             self.collisions += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_) | CaseVerdict::WasHit(_)));
-            Unanswered::join(&mut self.unanswered, draw.verdict.unanswered());
-            self.cut_short += u64::from(!draw.verdict.counts());
+            FailedControllerRuns::merge(&mut self.unanswered, draw.verdict.unanswered());
+            self.cut_short += u64::from(!draw.verdict.is_conclusive());
             self.hit += u64::from(matches!(draw.verdict, CaseVerdict::Hit(_)));
             self.was_hit += u64::from(matches!(draw.verdict, CaseVerdict::WasHit(_)));
             if let Some(impact_speed_mps) = draw.impact_speed_mps.filter(|_| draw.verdict.is_failure()) {
@@ -392,11 +392,11 @@ impl SampleTally {
         }
         for (first, this) in with_first {
             match (first, this) {
-                (SampleOutcome::Fails | SampleOutcome::Silent, SampleOutcome::Fails | SampleOutcome::Silent) => self.paired.both += 1,
+                (SampleOutcome::Fails | SampleOutcome::Unanswered, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.both += 1,
                 (SampleOutcome::Fails, SampleOutcome::Passes) => self.paired.only_first += 1,
-                (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Silent) => self.paired.only_this += 1,
+                (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.only_this += 1,
                 // What the first gave no answer in does not count in favour of this one.
-                (SampleOutcome::Silent | SampleOutcome::Passes, SampleOutcome::Passes) => {}
+                (SampleOutcome::Unanswered | SampleOutcome::Passes, SampleOutcome::Passes) => {}
             }
         }
     }
@@ -405,11 +405,11 @@ impl SampleTally {
         self.collisions.saturating_add(self.unanswered.as_ref().map_or(0, |silent| silent.runs))
     }
 
-    fn finish(self, controller: &NamedController, is_paired: bool) -> Sampled {
+    fn finish(self, controller: &NamedController, is_paired: bool) -> ControllerSample {
         let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
-        Sampled {
+        ControllerSample {
             controller: controller.name.clone(),
-            rate_percent: PercentInterval::exact([self.failures(), self.cut_short], self.draws, CONFIDENCE),
+            rate_percent: PercentInterval::clopper_pearson([self.failures(), self.cut_short], self.draws, CONFIDENCE),
             collisions: self.collisions,
             unanswered: self.unanswered,
             cut_short: self.cut_short,
@@ -418,7 +418,7 @@ impl SampleTally {
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.impacts > 0).then(|| mean_impact_mps.into()),
-            exposed: None,
+            rate_per_exposure: None,
             paired: is_paired.then_some(self.paired),
         }
     }
@@ -426,17 +426,17 @@ impl SampleTally {
 
 const ANCHOR: &str = "distribution";
 
-impl Part for SpaceSamples {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for SpaceSamples {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Failure rates".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         for drawn in &self.spaces {
             out.paragraph(&drawn.introduction());
             out.table(&drawn.table());
-            drawn.silent().iter().for_each(|line| out.paragraph(line));
-            if let Some((words, table)) = on_the_road(drawn) {
+            drawn.unanswered_notes().iter().for_each(|line| out.paragraph(line));
+            if let Some((words, table)) = exposure_table(drawn) {
                 out.paragraph(&words);
                 out.table(&table);
             }

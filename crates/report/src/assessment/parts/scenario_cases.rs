@@ -5,14 +5,14 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::assessment::avoidance::CertifiedAvoidance;
-use crate::assessment::case::{Case, CaseVerdict};
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject, UncomparedText};
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessmentPlan, Best, Command};
-use crate::draw::{MotionFigure, Svg, animation, motion_beside, motion_plate, motion_responsive, vehicle_names};
+use crate::assessment::case::{CaseResult, CaseVerdict};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject, UncomparedText};
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentPlan, RoundedAvoidance, CrumpleCommand};
+use crate::draw::{MotionFigure, Svg, animation, draw_motions_side_by_side, draw_motion_columns, draw_motion_responsive, vehicle_names};
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::Unanswered;
+use crumple_world::sim::FailedControllerRuns;
 
 /// What came of every controller in one scenario.
 #[derive(Debug, Clone, Serialize)]
@@ -23,12 +23,12 @@ pub struct ScenarioCases {
     /// Why it exists.
     pub about: String,
     /// How to run it again, but for the controller.
-    pub replay: Command,
+    pub replay: CrumpleCommand,
     /// The best that a driver could have made of it; none if that was not asked.
     #[serde(rename = "best")]
-    pub avoidance: Option<Best>,
+    pub avoidance: Option<RoundedAvoidance>,
     /// One case a controller.
-    pub cases: Vec<Case>,
+    pub cases: Vec<CaseResult>,
     /// The scenario and the names of its vehicles, for figures.
     #[serde(skip)]
     full_scenario: Scenario,
@@ -44,14 +44,14 @@ pub struct ScenarioCases {
 pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part: &str) -> Vec<Evidence> {
     let of = |(index, subject): (usize, Subject)| {
         let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
-        let counted: Vec<_> = verdicts.filter(|verdict| verdict.counts()).collect();
+        let counted: Vec<_> = verdicts.filter(|verdict| verdict.is_conclusive()).collect();
         let mut silent = None;
-        counted.iter().for_each(|verdict| Unanswered::join(&mut silent, verdict.unanswered()));
+        counted.iter().for_each(|verdict| FailedControllerRuns::merge(&mut silent, verdict.unanswered()));
         let touches = |verdict: &&&CaseVerdict| verdict.is_failure() && verdict.unanswered().is_none();
         let failures = counted.iter().filter(touches).count();
-        let claim = Claim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
+        let claim = AssuranceClaim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
         let strength = Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, silent.as_ref(), true);
-        Evidence { claim, strength, source: Source::part(part, format!("{} runs", counted.len())) }
+        Evidence { claim, strength, source: EvidenceSource::from_part(part, format!("{} runs", counted.len())) }
     };
     plan.claimants().into_iter().enumerate().map(of).collect()
 }
@@ -62,31 +62,31 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "recorded traffic and other scenarios",
     };
-    let known = |cases: &ScenarioCases| Known::scenario(cases.scenario.as_str(), &cases.drawn);
+    let known = |cases: &ScenarioCases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario);
     Domain::Scenarios { about: UncomparedText(about.to_owned()), all: scenarios.iter().map(known).collect() }
 }
 
 impl ScenarioCases {
     /// The cases of a scenario, and the command that runs it.
-    pub(in crate::assessment) fn new(scenario: &Scenario, replay: Command, cases: Vec<Case>) -> Self {
+    pub(in crate::assessment) fn new(scenario: &Scenario, replay: CrumpleCommand, cases: Vec<CaseResult>) -> Self {
         Self {
             scenario: scenario.spec().name.clone(),
             about: scenario.spec().about.clone(),
             replay,
-            best: None,
+            avoidance: None,
             cases,
-            drawn: scenario.clone(),
+            full_scenario: scenario.clone(),
             labels: vehicle_names(scenario),
             certificate: None,
         }
     }
 
     /// With the best that a driver could have made of the scenario, and each controller's regret.
-    pub(in crate::assessment) fn with_avoidance(mut self, CertifiedAvoidance { best, certificate }: CertifiedAvoidance) -> Self {
+    pub(in crate::assessment) fn with_avoidance(mut self, CertifiedAvoidance { avoidance: best, certificate }: CertifiedAvoidance) -> Self {
         for case in &mut self.cases {
             case.regret_m = best.regret_m(case);
         }
-        (self.best, self.certificate) = (Some(best), certificate);
+        (self.avoidance, self.certificate) = (Some(best), certificate);
         self
     }
 
@@ -97,84 +97,84 @@ impl ScenarioCases {
 
     /// The best that a driver could have made of it, in a sentence.
     pub(in crate::assessment) fn describe_avoidance(&self) -> String {
-        self.best.as_ref().map(Best::words).unwrap_or_default()
+        self.avoidance.as_ref().map(RoundedAvoidance::describe).unwrap_or_default()
     }
 
     /// Returns outcomes and the measures to look at first, one row a controller.
-    pub(super) fn table(&self) -> Table {
-        Table::of(
+    pub(super) fn table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.cases,
             &[
-                ("controller", &|case| Cell::text(&case.controller)),
-                ("outcome", &|case| Cell::marked(case.verdict.words(), case.verdict.mark())),
-                ("min gap ahead (m)", &|case| Cell::optional(case.ahead.min_gap_m)),
-                ("min gap behind (m)", &|case| Cell::optional(case.behind.min_gap_m)),
-                ("regret (m)", &|case| Cell::optional(case.regret_m)),
-                ("min TTC (s)", &|case| Cell::optional(case.ahead.min_ttc_s)),
-                ("peak brake (m/s²)", &|case| Cell::optional(case.peak_brake_mps2)),
-                ("imposed behind (m/s²)", &|case| Cell::optional(case.imposed_brake_mps2)),
-                ("pile-up (vehicles)", &|case| Cell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
-                ("max delta-v (m/s)", &|case| Cell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
+                ("controller", &|case| ReportCell::text(&case.controller)),
+                ("outcome", &|case| ReportCell::with_mark(case.verdict.describe(), case.verdict.mark())),
+                ("min gap ahead (m)", &|case| ReportCell::optional(case.ahead.min_gap_m)),
+                ("min gap behind (m)", &|case| ReportCell::optional(case.behind.min_gap_m)),
+                ("regret (m)", &|case| ReportCell::optional(case.regret_m)),
+                ("min TTC (s)", &|case| ReportCell::optional(case.ahead.min_ttc_s)),
+                ("peak brake (m/s²)", &|case| ReportCell::optional(case.peak_brake_mps2)),
+                ("imposed behind (m/s²)", &|case| ReportCell::optional(case.induced_brake_mps2)),
+                ("pile-up (vehicles)", &|case| ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("max delta-v (m/s)", &|case| ReportCell::optional(case.pile_up.and_then(|pile_up| pile_up.max_delta_v_mps))),
             ],
         )
     }
 
     /// Returns the other measures, one row a controller.
-    pub(super) fn further_measures(&self) -> Table {
-        Table::of(
+    pub(super) fn further_measures(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.cases,
             &[
-                ("controller", &|case| Cell::text(&case.controller)),
-                ("min time headway (s)", &|case| Cell::optional(case.ahead.min_time_headway_s)),
-                ("min time gap (s)", &|case| Cell::optional(case.ahead.min_time_gap_s)),
-                ("max DRAC (m/s²)", &|case| Cell::optional(case.ahead.max_drac_mps2)),
-                ("required brake (m/s²)", &|case| Cell::optional(case.ahead.max_required_brake_mps2)),
-                ("TET (s)", &|case| Cell::number(case.ahead.tet_s)),
-                ("TIT (s²)", &|case| Cell::number(case.ahead.tit_s2)),
-                ("peak jerk (m/s³)", &|case| Cell::optional(case.peak_jerk_mps3)),
-                ("standstill gap ahead (m)", &|case| Cell::optional(case.ahead.standstill_gap_m)),
-                ("standstill gap behind (m)", &|case| Cell::optional(case.behind.standstill_gap_m)),
-                ("max DRAC behind (m/s²)", &|case| Cell::optional(case.behind.max_drac_mps2)),
-                ("TET behind (s)", &|case| Cell::number(case.behind.tet_s)),
+                ("controller", &|case| ReportCell::text(&case.controller)),
+                ("min time headway (s)", &|case| ReportCell::optional(case.ahead.min_time_headway_s)),
+                ("min time gap (s)", &|case| ReportCell::optional(case.ahead.min_time_gap_s)),
+                ("max DRAC (m/s²)", &|case| ReportCell::optional(case.ahead.max_drac_mps2)),
+                ("required brake (m/s²)", &|case| ReportCell::optional(case.ahead.max_required_brake_mps2)),
+                ("TET (s)", &|case| ReportCell::number(case.ahead.tet_s)),
+                ("TIT (s²)", &|case| ReportCell::number(case.ahead.tit_s2)),
+                ("peak jerk (m/s³)", &|case| ReportCell::optional(case.peak_jerk_mps3)),
+                ("standstill gap ahead (m)", &|case| ReportCell::optional(case.ahead.standstill_gap_m)),
+                ("standstill gap behind (m)", &|case| ReportCell::optional(case.behind.standstill_gap_m)),
+                ("max DRAC behind (m/s²)", &|case| ReportCell::optional(case.behind.max_drac_mps2)),
+                ("TET behind (s)", &|case| ReportCell::number(case.behind.tet_s)),
             ],
         )
     }
 
     /// Writes both tables, the second one folded away.
-    pub(in crate::assessment) fn write_tables(&self, out: &mut Document) {
+    pub(in crate::assessment) fn write_tables(&self, out: &mut ReportDocument) {
         out.table(&self.table());
-        out.folded("further measures", |out| out.table(&self.further_measures()));
+        out.collapsible("further measures", |out| out.table(&self.further_measures()));
     }
 
     /// How to run one case again.
-    pub(in crate::assessment) fn replay_command(&self, case: &Case) -> Option<Command> {
-        Some(self.replay.clone().and(["--controller", case.word.as_deref()?]))
+    pub(in crate::assessment) fn replay_command(&self, case: &CaseResult) -> Option<CrumpleCommand> {
+        Some(self.replay.clone().with_args(["--controller", case.controller_arg.as_deref()?]))
     }
 
     /// The same, as a reader sees it.
-    pub(in crate::assessment) fn replay_html(&self, case: &Case) -> Markup {
+    pub(in crate::assessment) fn replay_html(&self, case: &CaseResult) -> Markup {
         html! { @if let Some(command) = self.replay_command(case) { code { (command) } " " } }
     }
 
     /// The paper's three diagrams of one case.
-    pub(in crate::assessment) fn figure(&self, case: &Case) -> Markup {
+    pub(in crate::assessment) fn figure(&self, case: &CaseResult) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
         let title = format!("{}, {}", self.scenario, case.controller);
         let prefix = format!("{}-{}", self.scenario, case.controller);
-        motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
+        draw_motion_responsive(&MotionFigure { prefix: &prefix, title: &title, labels: &self.labels, trace, impacts })
     }
 
     /// The motion of several cases beside each other, on the same axes.
-    pub(in crate::assessment) fn figures_side_by_side(&self, cases: &[&Case]) -> Markup {
-        self.with_figures(cases, motion_beside)
+    pub(in crate::assessment) fn figures_side_by_side(&self, cases: &[&CaseResult]) -> Markup {
+        self.with_figures(cases, draw_motions_side_by_side)
     }
 
     /// The motion of several cases as a file of its own.
-    pub(in crate::assessment) fn combined_figure(&self, cases: &[&Case]) -> Svg {
-        self.with_figures(cases, |figures| motion_plate(&self.scenario, &self.scenario, figures))
+    pub(in crate::assessment) fn combined_figure(&self, cases: &[&CaseResult]) -> Svg {
+        self.with_figures(cases, |figures| draw_motion_columns(&self.scenario, &self.scenario, figures))
     }
 
-    fn with_figures<T>(&self, cases: &[&Case], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
+    fn with_figures<T>(&self, cases: &[&CaseResult], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
         let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
         let named = |name: &str| format!("{}-{name}", self.scenario);
         let prefixes: Vec<_> = moved.iter().map(|(case, _)| named(&case.controller)).collect();
@@ -194,17 +194,17 @@ impl ScenarioCases {
     }
 
     /// What a case looked like from above.
-    pub(in crate::assessment) fn animation(&self, case: &Case) -> Markup {
+    pub(in crate::assessment) fn animation(&self, case: &CaseResult) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
-        let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.words());
-        animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.drawn, impacts)
+        let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.describe());
+        animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.full_scenario, impacts)
     }
 
     /// The figure of one case, folded away behind its outcome.
-    pub(in crate::assessment) fn collapsible_figure(&self, case: &Case) -> Markup {
+    pub(in crate::assessment) fn collapsible_figure(&self, case: &CaseResult) -> Markup {
         html! {
             details {
-                summary { (case.controller) ": " (case.verdict.words()) }
+                summary { (case.controller) ": " (case.verdict.describe()) }
                 (self.figure(case))
                 p.replay { (self.replay_html(case)) }
             }

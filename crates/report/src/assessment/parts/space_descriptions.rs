@@ -3,13 +3,13 @@
 use maud::html;
 use serde::Serialize;
 
-use super::Usefulness;
-use crate::assessment::document::Document;
+use super::UsefulnessReport;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::prose::prose;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessmentPlan, Part};
-use crumple_world::scenario::space::{Space, built_in_space};
+use crate::assessment::prose::prose_to_html;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentPlan, ReportPart};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
 
 /// What varies in each space, within which range and by which law.
 #[derive(Debug, Clone, Serialize)]
@@ -47,14 +47,14 @@ pub struct ParameterDescription {
 }
 
 impl SpaceDescriptions {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, usefulness: Option<&Usefulness>) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, usefulness: Option<&UsefulnessReport>) -> Self {
         let mut spaces: Vec<SpaceDescription> = Vec::new();
-        let everyday = usefulness.iter().flat_map(|usefulness| usefulness.abouts());
+        let everyday = usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
         let everyday = everyday.filter_map(|(name, _)| built_in_space(&name));
         let own = plan.distributions.iter().chain(&plan.spaces).map(|named| named.space.clone());
         for space in own.chain(everyday) {
             if !spaces.iter().any(|known| known.name == space.name()) {
-                spaces.push(SpaceDescription::of(&space));
+                spaces.push(SpaceDescription::new(&space));
             }
         }
         Self { spaces }
@@ -62,12 +62,12 @@ impl SpaceDescriptions {
 }
 
 impl SpaceDescription {
-    fn new(space: &Space) -> Self {
+    fn new(space: &ScenarioSpace) -> Self {
         let spec = space.spec();
         let parameters = spec.parameters.iter().map(|one| ParameterDescription {
             field: one.field.clone(),
             unit: one.unit.clone(),
-            law: one.distribution.to_string(),
+            distribution: one.distribution.to_string(),
         });
         Self {
             name: spec.name.clone(),
@@ -77,13 +77,13 @@ impl SpaceDescription {
         }
     }
 
-    fn table(&self) -> Table {
-        Table::of(
+    fn table(&self) -> ReportTable {
+        ReportTable::from_items(
             &self.parameters,
             &[
-                ("what varies", &|one| Cell::text(&one.field)),
-                ("unit", &|one| Cell::text(&one.unit)),
-                ("range and law", &|one| Cell::text(&one.law)),
+                ("what varies", &|one| ReportCell::text(&one.field)),
+                ("unit", &|one| ReportCell::text(&one.unit)),
+                ("range and law", &|one| ReportCell::text(&one.distribution)),
             ],
         )
     }
@@ -102,17 +102,17 @@ const INTRODUCTION: &str = "Draws follow the law; a search moves over the whole 
     leader, vehicles under test follow, and what is not listed is fixed. `crumple list spaces` names the built-in spaces, and each \
     certificate of a rate holds the whole space that it was counted in.";
 
-impl Part for SpaceDescriptions {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for SpaceDescriptions {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("domain", "The domain in numbers".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         for space in &self.spaces {
-            out.html(html! { h3 { "Space " (space.name) } p { (prose(&space.words())) } });
-            let words = Inline::strong(&format!("Space {}.", space.name)).and(&format!(" {}", space.words()));
-            out.markdown().paragraph(words);
+            out.push_html(html! { h3 { "Space " (space.name) } p { (prose_to_html(&space.describe())) } });
+            let words = Inline::strong(&format!("Space {}.", space.name)).and_prose(&format!(" {}", space.describe()));
+            out.markdown_mut().paragraph(words);
             out.table(&space.table());
         }
     }

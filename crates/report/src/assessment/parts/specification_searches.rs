@@ -5,20 +5,20 @@ use maud::html;
 use serde::Serialize;
 use serde_json::json;
 
-use super::failure_searches::{CounterexampleFiles, searched};
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use super::failure_searches::{CounterexampleFiles, run_campaign};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
 use crate::assessment::commands::controller_arg;
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::figure_layout::{NamedSpace, file_stem};
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::digest::sha256;
-use crumple_search::falsify::campaign::{Campaign, Summary};
+use crumple_search::falsify::campaign::{Campaign, CampaignSummary};
 use crumple_search::falsify::counterexample::Counterexample;
-use crumple_world::measure::{Conduct, Specification};
-use crumple_world::sim::{NamedController, Unanswered};
+use crumple_world::measure::{DrivingRule, Specification};
+use crumple_world::sim::{NamedController, FailedControllerRuns};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "rules";
@@ -36,12 +36,12 @@ pub struct SpecificationSearches {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SpaceSpecificationSearches {
     /// The space.
-    pub space: Known,
+    pub space: ContentId,
     /// The rule, as `--spec` takes it.
     #[serde(rename = "rule")]
     pub specification: String,
     /// An entry a controller.
-    pub controllers: Vec<RuleSearch>,
+    pub controllers: Vec<SpecificationSearch>,
 }
 
 /// What was found of one controller.
@@ -56,15 +56,15 @@ pub struct SpecificationSearch {
     pub violations: u64,
     /// Evaluations in which the controller gave no answer: these neither keep a rule nor break it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<Unanswered>,
+    pub unanswered: Option<FailedControllerRuns>,
     /// How many of the violations are distinct.
     pub distinct: usize,
     /// In which of its runs, from 1, the search met the first.
     pub first: Option<u64>,
     /// The one that goes furthest.
-    pub worst: Option<RuleViolation>,
+    pub worst: Option<SpecificationViolation>,
     /// How to search again; none of a controller from outside.
-    pub command: Option<Command>,
+    pub command: Option<CrumpleCommand>,
 }
 
 /// A run that broke a rule, shrunk.
@@ -76,7 +76,7 @@ pub struct SpecificationViolation {
     /// SHA-256 of that file.
     pub sha256: String,
     /// How to see it happen; none of a controller from outside.
-    pub replay: Option<Command>,
+    pub replay: Option<CrumpleCommand>,
     /// How far the rule holds: negative, in the rule's unit.
     pub robustness: Rounded<3>,
     /// What is not nominal.
@@ -97,53 +97,53 @@ impl<'p> SpecificationSearchPlan<'p> {
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
         plan.spaces.iter().flat_map(move |space| {
             plan.config.search.rules.iter().flat_map(move |rule| {
-                plan.controllers.iter().enumerate().map(move |controller| Self { space, rule, controller })
+                plan.controllers.iter().enumerate().map(move |controller| Self { space, specification: rule, controller })
             })
         })
     }
 
     /// For readers; one of a kind in a plan.
     pub(in crate::assessment) fn name(&self) -> String {
-        format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.rule)
+        format!("search {} in {} by {}", self.controller.1.name, self.space.name, self.specification)
     }
 
     pub(in crate::assessment) fn gather(
         &self,
         plan: &AssessmentPlan,
-        work: &Work<'_>,
-    ) -> Result<(Summary, Vec<CounterexampleFiles>), AssessError> {
+        work: &GatherContext<'_>,
+    ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
         let (controller, space) = (self.controller.1, &self.space.space);
         let nominal = space.scenario(&space.nominal())?;
         let campaign = Campaign {
             estimator: plan.config.estimator,
-            specification: Specification::parse(self.rule, &nominal)?,
+            specification: Specification::parse(self.specification, &nominal)?,
             budget: plan.config.search.budget,
             seed: plan.config.seed,
             ..Campaign::new(controller.clone(), space.clone())
         };
         let item = self.name();
-        let inputs = json!([plan.identity(controller), self.space.text, self.rule, campaign.budget, campaign.seed]);
-        searched(&campaign, (&item, &inputs), 1, work)
+        let inputs = json!([plan.identity(controller), self.space.text, self.specification, campaign.budget, campaign.seed]);
+        run_campaign(&campaign, (&item, &inputs), 1, work)
     }
 
-    fn summarize(&self, plan: &AssessmentPlan, (summary, texts): (Summary, Vec<CounterexampleFiles>)) -> RuleSearch {
+    fn summarize(&self, plan: &AssessmentPlan, (summary, texts): (CampaignSummary, Vec<CounterexampleFiles>)) -> SpecificationSearch {
         let (index, controller) = self.controller;
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
-        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.rule), plan.slug(index));
+        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.specification), plan.slug(index));
         let is_silent = |found: &&Counterexample| found.because.is_some();
         let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
         let worst = severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
             let file = format!("counterexamples/rules/{stem}.toml");
             let replay = word.as_deref().map(|word| {
-                let simulate = Command::new(["simulate", file.as_str(), "--controller", word, "--spec", self.rule]);
-                simulate.and(seeing.clone()).and(["--expect", "violated"])
+                let simulate = CrumpleCommand::new(["simulate", file.as_str(), "--controller", word, "--spec", self.specification]);
+                simulate.with_args(seeing.clone()).with_args(["--expect", "violated"])
             });
             let changed = found.changed.iter().map(|one| match one.unit.as_str() {
                 "1" => format!("{} {}", one.parameter, one.value),
                 unit => format!("{} {} {unit}", one.parameter, one.value),
             });
-            RuleViolation {
+            SpecificationViolation {
                 sha256: sha256(&text),
                 robustness: Rounded::new(found.robustness),
                 changed: changed.collect(),
@@ -156,9 +156,9 @@ impl<'p> SpecificationSearchPlan<'p> {
         let out = format!("searches/rules/{stem}");
         let command = word.as_deref().map(|word| {
             let space = self.space.word();
-            let what = ["falsify", "--controller", word, "--space", &space, "--spec", self.rule];
+            let what = ["falsify", "--controller", word, "--space", &space, "--spec", self.specification];
             let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
-            Command::new(what).and(how).and(seeing.clone())
+            CrumpleCommand::new(what).with_args(how).with_args(seeing.clone())
         });
         let silent = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
         let runs: u64 = silent.clone().map(|kind| kind.count).sum();
@@ -167,11 +167,11 @@ impl<'p> SpecificationSearchPlan<'p> {
         let breaking = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_none());
         let by_method = breaking.flat_map(|kind| &kind.by_method).filter(|by| by.method == summary.method);
         let failures: u64 = summary.methods.iter().map(|method| method.failures).sum();
-        RuleSearch {
+        SpecificationSearch {
             controller: controller.name.clone(),
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             violations: failures.saturating_sub(runs),
-            unanswered: (runs > 0).then_some(Unanswered { runs, because }),
+            unanswered: (runs > 0).then_some(FailedControllerRuns { runs, because }),
             distinct: summary.counterexamples.iter().filter(|found| !is_silent(found)).count(),
             first: by_method.map(|by| by.first).min(),
             worst,
@@ -182,13 +182,13 @@ impl<'p> SpecificationSearchPlan<'p> {
 
 impl SpecificationSearches {
     /// None if the plan has no rules.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let mut searches: Vec<SpaceSpecificationSearches> = Vec::new();
-        for one in SpecificationSearchPlan::all(plan) {
-            let found = one.found(plan, one.gather(plan, work)?);
+        for one in SpecificationSearchPlan::from_plan(plan) {
+            let found = one.summarize(plan, one.gather(plan, work)?);
             if one.controller.0 == 0 {
-                let (space, rule) = (one.space.known.clone(), one.rule.to_owned());
-                searches.push(SpaceSpecificationSearches { space, rule, controllers: Vec::new() });
+                let (space, rule) = (one.space.known.clone(), one.specification.to_owned());
+                searches.push(SpaceSpecificationSearches { space, specification: rule, controllers: Vec::new() });
             }
             if let Some(last) = searches.last_mut() {
                 last.controllers.push(found);
@@ -203,21 +203,21 @@ impl SpecificationSearches {
             let domain = searches.domain(plan);
             let claimants = plan.claimants().into_iter().zip(&searches.controllers);
             let each = claimants.map(|(subject, search)| Evidence {
-                claim: Claim { subject, property: searches.property(), domain: domain.clone() },
+                claim: AssuranceClaim { subject, property: searches.property(), domain: domain.clone() },
                 strength: Strength::from_counts_with_unanswered(
                     search.violations,
                     search.evaluations,
                     search.unanswered.as_ref(),
                     false,
                 ),
-                source: Source::part(ANCHOR, format!("{} evaluations", search.evaluations)),
+                source: EvidenceSource::from_part(ANCHOR, format!("{} evaluations", search.evaluations)),
             });
             each.collect::<Vec<_>>()
         };
         self.searches.iter().flat_map(of).collect()
     }
 
-    fn violations(&self) -> impl Iterator<Item = &RuleViolation> {
+    fn violations(&self) -> impl Iterator<Item = &SpecificationViolation> {
         self.searches.iter().flat_map(|one| &one.controllers).filter_map(|search| search.worst.as_ref())
     }
 
@@ -227,7 +227,7 @@ impl SpecificationSearches {
     }
 
     /// How to see rules broken.
-    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.violations().filter_map(|one| one.replay.as_ref())
     }
 }
@@ -240,27 +240,27 @@ impl SpaceSpecificationSearches {
 
     /// What is claimed by the rule.
     pub(in crate::assessment) fn property(&self) -> Property {
-        match self.rule.parse() {
-            Ok(Conduct::NoBrakingWithoutCause) => Property::NoNeedlessBraking,
-            _ => Property::Keeps { rule: self.rule.clone() },
+        match self.specification.parse() {
+            Ok(DrivingRule::NoUnnecessaryBraking) => Property::NoUnnecessaryBraking,
+            _ => Property::Satisfies { rule: self.specification.clone() },
         }
     }
 
-    fn table(&self) -> Table {
-        let worst = |search: &RuleSearch, words: fn(&RuleViolation) -> String| search.worst.as_ref().map(words);
-        Table::of(
+    fn table(&self) -> ReportTable {
+        let worst = |search: &SpecificationSearch, words: fn(&SpecificationViolation) -> String| search.worst.as_ref().map(words);
+        ReportTable::from_items(
             &self.controllers,
             &[
-                ("controller", &|search| Cell::text(&search.controller)),
+                ("controller", &|search| ReportCell::text(&search.controller)),
                 ("runs that break it", &|search| {
                     let is_kept = search.violations == 0 && search.unanswered.is_none();
-                    Cell::judged(format!("{} of {}", search.violations, search.evaluations), is_kept)
+                    ReportCell::with_verdict(format!("{} of {}", search.violations, search.evaluations), is_kept)
                 }),
-                ("distinct", &|search| Cell::number(search.distinct)),
-                ("first after (runs)", &|search| Cell::optional(search.first)),
-                ("robustness", &|search| Cell::optional(worst(search, |one| one.robustness.to_string()))),
+                ("distinct", &|search| ReportCell::number(search.distinct)),
+                ("first after (runs)", &|search| ReportCell::optional(search.first)),
+                ("robustness", &|search| ReportCell::optional(worst(search, |one| one.robustness.to_string()))),
                 ("what is not nominal", &|search| {
-                    Cell::text(worst(search, |one| one.changed.join(", ")).unwrap_or_else(|| "–".to_owned()))
+                    ReportCell::text(worst(search, |one| one.changed.join(", ")).unwrap_or_else(|| "–".to_owned()))
                 }),
             ],
         )
@@ -269,15 +269,15 @@ impl SpaceSpecificationSearches {
     /// Of each controller that gave no answer in some runs: in how many, and why.
     fn unanswered_notes(&self) -> impl Iterator<Item = String> {
         let silent = self.controllers.iter().filter_map(|search| Some((search, search.unanswered.as_ref()?)));
-        silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.words(search.evaluations)))
+        silent.map(|(search, silent)| format!("{} {}.", search.controller, silent.describe(search.evaluations)))
     }
 
-    fn replay_commands(&self) -> impl Iterator<Item = &Command> {
+    fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.controllers.iter().filter_map(|search| search.worst.as_ref()?.replay.as_ref())
     }
 
     fn title(&self) -> String {
-        format!("{} in {}", self.rule, self.space.name)
+        format!("{} in {}", self.specification, self.space.name)
     }
 }
 
@@ -285,22 +285,22 @@ const INTRODUCTION: &str = "Whoever touches nobody may still drive as nobody cou
     searches looks for runs that break it; the one that goes furthest is shrunk and kept. Robustness is how far the rule is from being \
     broken, negative where it is.";
 
-impl Part for SpecificationSearches {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for SpecificationSearches {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Rules of conduct".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         for one in &self.searches {
-            out.heading(&one.heading());
+            out.heading(&one.title());
             out.table(&one.table());
-            one.silent().for_each(|line| out.paragraph(&line));
-            out.html(html! { p.replay { @for command in one.replays() { code { (command) } " " } } });
-            out.folded("search again", |out| {
+            one.unanswered_notes().for_each(|line| out.paragraph(&line));
+            out.push_html(html! { p.replay { @for command in one.replay_commands() { code { (command) } " " } } });
+            out.collapsible("search again", |out| {
                 out.commands(one.controllers.iter().filter_map(|search| search.command.as_ref()));
             });
-            out.markdown().list(one.replays().map(Inline::code));
+            out.markdown_mut().list(one.replay_commands().map(Inline::code));
         }
     }
 }

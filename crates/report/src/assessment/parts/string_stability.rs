@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::assessment::Rounded;
 use crate::assessment::claims::Strength;
-use crate::assessment::table::{Cell, Mark};
+use crate::assessment::table::{ReportCell, CellMark};
 use crumple_world::measure::SpeedAmplification;
 use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario};
-use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, Unanswered, simulate};
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, FailedControllerRuns, simulate};
 
 /// What a line of vehicles makes of a disturbance of its leader.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -41,26 +41,26 @@ pub enum StringStabilityVerdict {
 impl StringStabilityVerdict {
     pub(super) fn simulate(line: &Scenario, options: &RunOptions) -> Result<Self, RunError> {
         let simulated = simulate(&Run::new(line, options.clone())?, RecordingLevel::Trace);
-        if let Some(failed) = simulated.outcome.failed() {
-            return Ok(Self::NoAnswer { because: failed.because() });
+        if let Some(failed) = simulated.outcome.failed_controller() {
+            return Ok(Self::Unanswered { because: failed.reason() });
         }
         if !simulated.outcome.is_safe() {
-            return Ok(Self::Fails);
+            return Ok(Self::Collides);
         }
-        let found = simulated.trace.as_ref().and_then(|trace| SpeedAmplification::of(trace, SPEED_DIP_ONSET_S));
+        let found = simulated.trace.as_ref().and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S));
         Ok(found.map_or(Self::DoesNotSettle, |found| {
             let gain = Rounded::new(found.overall);
-            if found.grows() { Self::Amplifies { gain } } else { Self::Damps { gain } }
+            if found.has_amplification() { Self::Amplifies { gain } } else { Self::Damps { gain } }
         }))
     }
 
     /// What it says of the claim that no disturbance grows: of a line that drives at no one speed nothing.
     pub(super) fn strength(&self) -> Strength {
         match self {
-            Self::Damps { .. } => Strength::of(0, 1),
-            Self::Amplifies { .. } | Self::Fails => Strength::of(1, 1),
-            Self::NoAnswer { because } => {
-                let silent = Unanswered { runs: 1, because: because.clone() };
+            Self::Damps { .. } => Strength::from_counts(0, 1),
+            Self::Amplifies { .. } | Self::Collides => Strength::from_counts(1, 1),
+            Self::Unanswered { because } => {
+                let silent = FailedControllerRuns { runs: 1, because: because.clone() };
                 Strength::from_counts_with_unanswered(0, 1, Some(&silent), false)
             }
             Self::DoesNotSettle => Strength::Untried,
@@ -79,18 +79,18 @@ impl StringStabilityVerdict {
                 format!("some vehicle deviates more than the one ahead, the last by {gain} of it")
             }
             Self::DoesNotSettle => "the line does not settle to one speed".to_owned(),
-            Self::Fails => "vehicles of the line touch".to_owned(),
-            Self::NoAnswer { because } => format!("it gave no answer: {because}"),
+            Self::Collides => "vehicles of the line touch".to_owned(),
+            Self::Unanswered { because } => format!("it gave no answer: {because}"),
         }
     }
 
-    pub(super) fn table_cell(&self) -> Cell {
+    pub(super) fn table_cell(&self) -> ReportCell {
         match self {
-            Self::Damps { gain } => Cell::marked(gain, Mark::Good),
-            Self::Amplifies { gain } => Cell::marked(gain, Mark::Bad),
-            Self::DoesNotSettle => Cell::text("does not settle"),
-            Self::Fails => Cell::marked("fails", Mark::Bad),
-            Self::NoAnswer { .. } => Cell::marked("no answer", Mark::Bad),
+            Self::Damps { gain } => ReportCell::with_mark(gain, CellMark::Good),
+            Self::Amplifies { gain } => ReportCell::with_mark(gain, CellMark::Bad),
+            Self::DoesNotSettle => ReportCell::text("does not settle"),
+            Self::Collides => ReportCell::with_mark("fails", CellMark::Bad),
+            Self::Unanswered { .. } => ReportCell::with_mark("no answer", CellMark::Bad),
         }
     }
 }

@@ -7,18 +7,18 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::distinct_failure::EscapeFile;
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
 use crate::assessment::commands::controller_arg;
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::planned_suite::PlannedSuite;
-use crate::assessment::table::{Cell, Mark, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part, StoreError};
-use crate::suite::{least_margins, preventable, verdict, within_in_words};
+use crate::assessment::table::{ReportCell, CellMark, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, CacheError};
+use crate::suite::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
 use crumple_core::digest::sha256;
-use crumple_suites::{Failed, DISCLAIMER, TestVerdict, Tested, run};
+use crumple_suites::{FailedPoint, DISCLAIMER, TestVerdict, ControllerResult, run};
 use crumple_world::scenario::file;
-use crumple_world::sim::{NamedController, Unanswered};
+use crumple_world::sim::{NamedController, FailedControllerRuns};
 
 /// The part's anchor in the page.
 const ANCHOR: &str = "suites";
@@ -27,15 +27,15 @@ const ANCHOR: &str = "suites";
 pub(in crate::assessment) fn gather_suite(
     plan: &AssessmentPlan,
     planned: &PlannedSuite,
-    work: &Work<'_>,
+    work: &GatherContext<'_>,
 ) -> Result<SuiteCacheEntry, AssessError> {
     let tested: Vec<NamedController> =
-        planned.tested.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
+        planned.controller_indices.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
     let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
-    let inputs = json!([planned.known.sha256, identities]);
-    let name = format!("suite {}", planned.known.name);
-    let kept = work.get(&name, &inputs, || ran(plan, planned, &tested))?;
-    work.did(planned.points())?;
+    let inputs = json!([planned.content_id.sha256, identities]);
+    let name = format!("suite {}", planned.content_id.name);
+    let kept = work.get_or_gather(&name, &inputs, || run_planned_suite(plan, planned, &tested))?;
+    work.add_runs(planned.run_count())?;
     Ok(kept)
 }
 
@@ -57,7 +57,7 @@ pub struct Suites {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFindings {
     /// The suite.
-    pub suite: Known,
+    pub suite: ContentId,
     /// The document that it is after, and its edition.
     pub document: String,
     /// What its figures were read from.
@@ -102,7 +102,7 @@ pub struct SuiteOutcome {
     pub points_failed: u64,
     /// In how many of those that failed the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<Unanswered>,
+    pub unanswered: Option<FailedControllerRuns>,
     /// How many points were run, of the grid and of the search within ranges and tolerances.
     pub runs: u64,
     /// How many of them failed.
@@ -110,7 +110,7 @@ pub struct SuiteOutcome {
     /// In how many of those that the search ran the controller gave no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "unanswered_within")]
-    pub unanswered_in_tolerance: Option<Unanswered>,
+    pub unanswered_in_tolerance: Option<FailedControllerRuns>,
     /// How far it can be pushed until it fails, in words.
     pub margins: Vec<String>,
     /// The worst point found within the ranges and tolerances of the clause, in words; none where there are none.
@@ -129,7 +129,7 @@ pub struct SuiteFailure {
     /// SHA-256 of that file.
     pub sha256: String,
     /// How to see it happen; none of a controller from outside, and of one that failed.
-    pub replay: Option<Command>,
+    pub replay: Option<CrumpleCommand>,
     /// The point.
     pub point: String,
     /// What happened.
@@ -151,13 +151,13 @@ pub(in crate::assessment) struct SuiteCacheEntry {
 
 impl Suites {
     /// None if the plan has no suites.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         if plan.suites.is_empty() {
             return Ok(None);
         }
         let mut all = Self { statement: DISCLAIMER, suites: Vec::new(), files: BTreeMap::new() };
         for planned in &plan.suites {
-            let SuiteCacheEntry { found, files } = gather_one(plan, planned, work)?;
+            let SuiteCacheEntry { findings: found, files } = gather_suite(plan, planned, work)?;
             all.suites.push(found);
             all.files.extend(files);
         }
@@ -169,19 +169,19 @@ impl Suites {
         let each = plan.suites.iter().zip(&self.suites);
         let of = |(planned, found): (&PlannedSuite, &SuiteFindings)| {
             let claims = claims(plan, planned);
-            let of_tested = planned.tested.iter().enumerate().filter_map(|(column, &place)| {
+            let of_tested = planned.controller_indices.iter().enumerate().filter_map(|(column, &place)| {
                 let claim = claims.get(place)?.clone()?;
                 let outcomes = || found.tests.iter().filter_map(|test| test.outcomes.get(column));
                 let sum = |of: fn(&SuiteOutcome) -> u64| outcomes().map(of).sum::<u64>();
                 let (failed, runs) = (sum(|one| one.points_failed), sum(|one| one.runs));
                 let points = failed + sum(|one| one.points_passed);
-                let silent = |of: fn(&SuiteOutcome) -> &Option<Unanswered>| {
+                let silent = |of: fn(&SuiteOutcome) -> &Option<FailedControllerRuns>| {
                     let mut all = None;
-                    outcomes().for_each(|one| Unanswered::join(&mut all, of(one).clone()));
+                    outcomes().for_each(|one| FailedControllerRuns::merge(&mut all, of(one).clone()));
                     all
                 };
                 // A point without an answer is a failure of the controller, and none of its driving.
-                let strength = |failed: u64, points: u64, silent: Option<Unanswered>| {
+                let strength = |failed: u64, points: u64, silent: Option<FailedControllerRuns>| {
                     let touching = failed.saturating_sub(silent.as_ref().map_or(0, |silent| silent.runs));
                     Strength::from_counts_with_unanswered(touching, points, silent.as_ref(), true)
                 };
@@ -191,11 +191,11 @@ impl Suites {
                     true => (of_tests, format!("{points} points that the tests state")),
                     false => {
                         let failures = sum(|one| one.failures);
-                        let strength = strength(failures, runs, silent(|one| &one.unanswered_within));
+                        let strength = strength(failures, runs, silent(|one| &one.unanswered_in_tolerance));
                         (strength, format!("{runs} points, searched ones too"))
                     }
                 };
-                Some(Evidence { claim, strength, source: Source::part(ANCHOR, made) })
+                Some(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) })
             });
             of_tested.collect::<Vec<_>>()
         };
@@ -203,7 +203,7 @@ impl Suites {
     }
 
     /// A claim a suite of every controller; none of those that it does not test.
-    pub(in crate::assessment) fn claims(plan: &AssessmentPlan) -> impl Iterator<Item = Vec<Option<Claim>>> {
+    pub(in crate::assessment) fn claims(plan: &AssessmentPlan) -> impl Iterator<Item = Vec<Option<AssuranceClaim>>> {
         plan.suites.iter().map(|planned| claims(plan, planned))
     }
 
@@ -226,16 +226,16 @@ impl Suites {
     }
 
     /// How to see failures happen.
-    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
-        self.suites.iter().flat_map(SuiteFindings::replays)
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
+        self.suites.iter().flat_map(SuiteFindings::replay_commands)
     }
 }
 
-fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<Claim>> {
+fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
     let claim = |place: usize| {
-        let subject = plan.claimant(place, plan.config.estimator).filter(|_| planned.tested.contains(&place))?;
-        let domain = Domain::Suite { suite: planned.known.clone() };
-        Some(Claim { subject, property: Property::PassesTests, domain })
+        let subject = plan.claimant(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
+        let domain = Domain::Suite { suite: planned.content_id.clone() };
+        Some(AssuranceClaim { subject, property: Property::PassesTests, domain })
     };
     (0..plan.controllers.len()).map(claim).collect()
 }
@@ -248,61 +248,61 @@ fn run_planned_suite(plan: &AssessmentPlan, planned: &PlannedSuite, tested: &[Na
     for (clause, test) in result.tests() {
         let mut outcomes = Vec::new();
         for (tested, controller) in test.controllers.iter().zip(tested) {
-            outcomes.push(SuiteOutcome::of(tested, controller, plan, &mut files)?);
+            outcomes.push(SuiteOutcome::new(tested, controller, plan, &mut files)?);
         }
         let (clause, test_name) = (clause.clause.clone(), test.name.clone());
         tests.push(SuiteTest { clause, test: test_name, is_as_stated: test.is_as_stated, outcomes });
     }
     let found = SuiteFindings {
-        suite: planned.known.clone(),
+        suite: planned.content_id.clone(),
         document: format!("{}, {}", result.document, result.edition),
-        figures_from: result.figures_from,
-        outside: result.outside,
-        left_out: result.left_out,
+        figures_from: result.parameter_source,
+        outside: result.not_modelled,
+        left_out: result.omitted_parameters,
         controllers: tested.iter().map(|controller| controller.name.clone()).collect(),
         tests,
     };
-    Ok(SuiteCacheEntry { found, files })
+    Ok(SuiteCacheEntry { findings: found, files })
 }
 
 impl SuiteOutcome {
     fn new(
-        tested: &Tested,
+        tested: &ControllerResult,
         controller: &NamedController,
         plan: &AssessmentPlan,
         files: &mut BTreeMap<String, String>,
     ) -> Result<Self, AssessError> {
         let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
-        let within = tested.within.as_ref();
+        let within = tested.worst_in_tolerance.as_ref();
         let worst = tested.failures().max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
-        let (failed, passed) = (tested.failed.len() as u64, tested.passed as u64);
+        let (failed, passed) = (tested.failed_points.len() as u64, tested.passed_points as u64);
         Ok(Self {
             passed: (tested.is_passed() || !is_refused).then(|| tested.is_passed()),
-            verdict: verdict(&tested.verdict),
+            verdict: describe_verdict(&tested.verdict),
             points: tested.points as u64,
             points_passed: passed,
             points_failed: failed,
             unanswered: tested.unanswered(),
-            runs: passed + failed + within.map_or(0, |within| within.tried as u64),
+            runs: passed + failed + within.map_or(0, |within| within.points_run as u64),
             failures: failed + within.map_or(0, |within| within.failures as u64),
-            unanswered_within: within.and_then(|within| within.unanswered.clone()),
-            margins: least_margins(&tested.margins),
-            within: within.map(within_in_words),
-            worst: worst.map(|worst| SuiteFailure::of(worst, controller, plan, files)).transpose()?,
+            unanswered_in_tolerance: within.and_then(|within| within.unanswered.clone()),
+            margins: describe_min_margins(&tested.margins),
+            worst_in_tolerance: within.map(describe_worst_in_tolerance),
+            worst: worst.map(|worst| SuiteFailure::new(worst, controller, plan, files)).transpose()?,
         })
     }
 
     /// Runs that its controller gave no answer in, of the grid and of the search, and why in the first of them.
-    pub(in crate::assessment) fn total_unanswered(&self) -> Option<Unanswered> {
+    pub(in crate::assessment) fn total_unanswered(&self) -> Option<FailedControllerRuns> {
         let mut all = self.unanswered.clone();
-        Unanswered::join(&mut all, self.unanswered_within.clone());
+        FailedControllerRuns::merge(&mut all, self.unanswered_in_tolerance.clone());
         all
     }
 
     /// In a few words, for a matrix.
-    fn table_cell(&self) -> Cell {
+    fn table_cell(&self) -> ReportCell {
         // Why it gave none stands below: it may be long.
-        let silent = self.silent().map_or(0, |silent| silent.runs);
+        let silent = self.total_unanswered().map_or(0, |silent| silent.runs);
         let contact = self.worst.as_ref().filter(|_| silent < self.failures);
         let mut words = match (self.points, self.passed, contact) {
             (0, ..) => "not run".to_owned(),
@@ -313,40 +313,40 @@ impl SuiteOutcome {
         if silent > 0 {
             words += &format!("; no answer in {silent} of {} runs", self.runs);
         }
-        Cell::marked(words, self.passed.map_or(Mark::None, |passed| if passed { Mark::Good } else { Mark::Bad }))
+        ReportCell::with_mark(words, self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad }))
     }
 }
 
 impl SuiteFailure {
     fn new(
-        failed: &Failed,
+        failed: &FailedPoint,
         controller: &NamedController,
         plan: &AssessmentPlan,
         files: &mut BTreeMap<String, String>,
-    ) -> Result<Self, StoreError> {
-        let text = file::to_toml(&failed.scenario).map_err(StoreError::encoding)?;
+    ) -> Result<Self, CacheError> {
+        let text = file::to_toml(&failed.scenario).map_err(CacheError::encoding)?;
         let (file, sha256) = (format!("counterexamples/suites/{}.toml", failed.scenario_name), sha256(&text));
         let is_contact = matches!(failed.verdict, TestVerdict::Failed { .. });
         let replay = controller_arg(&controller.kind).filter(|_| is_contact).map(|word| {
-            Command::new(["simulate", file.as_str(), "--controller", word.as_str()])
-                .and(plan.estimator_args().iter().copied())
-                .and(["--expect", "collision"])
+            CrumpleCommand::new(["simulate", file.as_str(), "--controller", word.as_str()])
+                .with_args(plan.estimator_args().iter().copied())
+                .with_args(["--expect", "collision"])
         });
-        let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(StoreError::encoding)?;
-        let escape = escape.map(|text| EscapeFile::beside(&file, text));
+        let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(CacheError::encoding)?;
+        let escape = escape.map(|text| EscapeFile::for_counterexample(&file, text));
         files.extend(escape.iter().map(|escape| (escape.file.clone(), escape.text.clone())));
         files.insert(file.clone(), text);
-        let (point, what) = (failed.point.clone(), verdict(&failed.verdict));
-        Ok(Self { file, sha256, replay, point, what, preventable: preventable(failed), escape })
+        let (point, what) = (failed.point.clone(), describe_verdict(&failed.verdict));
+        Ok(Self { file, sha256, replay, point, what, preventable: describe_preventability(failed), escape })
     }
 
     /// How to see it happen, and what would have avoided it.
-    fn commands(&self) -> impl Iterator<Item = &Command> {
+    fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
     }
 }
 
-fn impact_mps(failed: &Failed) -> f64 {
+fn impact_mps(failed: &FailedPoint) -> f64 {
     match failed.verdict {
         TestVerdict::Failed { impact_speed_mps, .. } => impact_speed_mps,
         _ => 0.0,
@@ -354,37 +354,37 @@ fn impact_mps(failed: &Failed) -> f64 {
 }
 
 impl SuiteFindings {
-    fn matrix(&self) -> Table {
+    fn matrix(&self) -> ReportTable {
         let names = self.controllers.iter().map(String::as_str);
-        let mut table = Table::new(&["test", "clause"].into_iter().chain(names).collect::<Vec<_>>());
+        let mut table = ReportTable::new(&["test", "clause"].into_iter().chain(names).collect::<Vec<_>>());
         for test in &self.tests {
             let chosen = if test.is_as_stated { "" } else { " (some figures are chosen)" };
-            let head = [Cell::text(format!("{}{chosen}", test.test)), Cell::text(&test.clause)];
-            table.row(head.into_iter().chain(test.outcomes.iter().map(SuiteOutcome::cell)).collect());
+            let head = [ReportCell::text(format!("{}{chosen}", test.test)), ReportCell::text(&test.clause)];
+            table.push_row(head.into_iter().chain(test.outcomes.iter().map(SuiteOutcome::table_cell)).collect());
         }
         table
     }
 
-    fn details_table(&self) -> Table {
+    fn details_table(&self) -> ReportTable {
         let each = self.tests.iter().flat_map(|test| {
             self.controllers.iter().zip(&test.outcomes).map(move |(controller, outcome)| (test, controller, outcome))
         });
         let dash = || "–".to_owned();
         let prevented = |worst: &SuiteFailure| format!("{}: {}", worst.point, worst.preventable);
-        Table::of(
+        ReportTable::from_items(
             each,
             &[
-                ("test", &|(test, ..)| Cell::text(&test.test)),
-                ("controller", &|(_, controller, _)| Cell::text(controller)),
-                ("verdict", &|(.., outcome)| Cell::text(&outcome.verdict)),
+                ("test", &|(test, ..)| ReportCell::text(&test.test)),
+                ("controller", &|(_, controller, _)| ReportCell::text(controller)),
+                ("verdict", &|(.., outcome)| ReportCell::text(&outcome.verdict)),
                 ("margins", &|(.., outcome)| {
-                    Cell::text(if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") })
+                    ReportCell::text(if outcome.margins.is_empty() { dash() } else { outcome.margins.join("; ") })
                 }),
                 ("worst that the clause allows", &|(.., outcome)| {
-                    Cell::text(outcome.within.clone().unwrap_or_else(dash))
+                    ReportCell::text(outcome.worst_in_tolerance.clone().unwrap_or_else(dash))
                 }),
                 ("who could have prevented it", &|(.., outcome)| {
-                    Cell::text(outcome.worst.as_ref().map_or_else(dash, prevented))
+                    ReportCell::text(outcome.worst.as_ref().map_or_else(dash, prevented))
                 }),
             ],
         )
@@ -395,23 +395,23 @@ impl SuiteFindings {
         let of = |(column, controller): (usize, &String)| {
             let (mut all, mut runs) = (None, 0);
             for outcome in self.tests.iter().filter_map(|test| test.outcomes.get(column)) {
-                Unanswered::join(&mut all, outcome.silent());
+                FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
                 runs += outcome.runs;
             }
-            Some(format!("{controller} {}. That is a failure of it, and no contact.", all?.words(runs)))
+            Some(format!("{controller} {}. That is a failure of it, and no contact.", all?.describe(runs)))
         };
         self.controllers.iter().enumerate().filter_map(of).collect()
     }
 
     fn describe(&self) -> String {
-        format!("After {}. Figures from: {} {STATEMENT}", self.document, self.figures_from)
+        format!("After {}. Figures from: {} {DISCLAIMER}", self.document, self.figures_from)
     }
 
     fn out_of_scope(&self) -> Vec<String> {
         [&self.outside[..], &self.left_out].concat()
     }
 
-    fn replay_commands(&self) -> impl Iterator<Item = &Command> {
+    fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
         outcomes.filter_map(|outcome| outcome.worst.as_ref()).flat_map(SuiteFailure::commands)
     }
@@ -422,22 +422,22 @@ const INTRODUCTION: &str = "Tests of documents as data: every combination of the
     touches before the test ends. A cell says how many of them pass, and the fastest impact. What regulations ask for besides is \
     outside the model.";
 
-impl Part for Suites {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for Suites {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Tests after regulations".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&format!("{INTRODUCTION} {}", self.statement));
         for found in &self.suites {
             out.heading(&found.suite.name);
-            out.paragraph(&found.words());
+            out.paragraph(&found.describe());
             out.table(&found.matrix());
-            found.silent().iter().for_each(|line| out.paragraph(line));
-            out.folded("verdicts, margins, the worst within each clause", |out| out.table(&found.details()));
-            out.markdown().paragraph("Outside the model, and left out:");
-            out.folded("outside the model, and left out", |out| out.list(&found.outside()));
-            out.html(html! { p.replay { @for command in found.replays() { code { (command) } " " } } });
+            found.unanswered_notes().iter().for_each(|line| out.paragraph(line));
+            out.collapsible("verdicts, margins, the worst within each clause", |out| out.table(&found.details_table()));
+            out.markdown_mut().paragraph("Outside the model, and left out:");
+            out.collapsible("outside the model, and left out", |out| out.list(&found.out_of_scope()));
+            out.push_html(html! { p.replay { @for command in found.replay_commands() { code { (command) } " " } } });
         }
     }
 }

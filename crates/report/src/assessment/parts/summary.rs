@@ -3,12 +3,12 @@
 use maud::html;
 use serde::Serialize;
 
-use super::certificates::{kernel_domain, kernels, seeing};
-use super::{Distributions, PaperScenarios, Proofs, SpecificationSearches, FailureSearches, Suites, Traffic, Usefulness, WorstProfiles};
-use crate::assessment::claims::{Claim, Domain, Known, Ledger, Property, Rule, Standing};
-use crate::assessment::document::Document;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::{AssessmentPlan, GateResult, Part, Rounded};
+use super::certificates::{kernel_domain, shield_kernels, describe_estimator};
+use super::{SpaceSamples, PaperScenarios, Proofs, SpecificationSearches, FailureSearches, Suites, FileScenarios, UsefulnessReport, WorstProfiles};
+use crate::assessment::claims::{AssuranceClaim, Domain, ContentId, Ledger, Property, InferenceRule, ClaimStatus};
+use crate::assessment::document::ReportDocument;
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::{AssessmentPlan, GateResult, ReportPart, Rounded};
 use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{ControllerKind, NamedController};
@@ -51,22 +51,22 @@ pub struct ClaimRow {
     /// The part of the report with the evidence.
     pub part: &'static str,
     /// The claim as it is made of each controller; none where it makes no sense of one.
-    pub claims: Vec<Option<Claim>>,
+    pub claims: Vec<Option<AssuranceClaim>>,
     /// How it stands with each controller.
     #[serde(rename = "standings")]
-    pub statuses: Vec<Standing>,
+    pub statuses: Vec<ClaimStatus>,
 }
 
 /// What the claims of a verdict are made about.
 pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
-    pub(in crate::assessment) distributions: &'a Distributions,
-    pub(in crate::assessment) traffic: Option<&'a Traffic>,
+    pub(in crate::assessment) distributions: &'a SpaceSamples,
+    pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a FailureSearches,
     pub(in crate::assessment) rules: Option<&'a SpecificationSearches>,
-    pub(in crate::assessment) usefulness: Option<&'a Usefulness>,
+    pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
 
@@ -93,37 +93,37 @@ const RARE_PERCENT: f64 = 1.0;
 impl ClaimSummary {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let rows = rows(plan, found, ledger);
+        let rows = claim_rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self { subject, controllers, named: named(plan, found), claims: rows, gates: Vec::new(), asked }
+        Self { subject, controllers, named: explain_names(plan, found), claims: rows, gates: Vec::new(), main_columns: asked }
     }
 
-    fn table(&self, columns: &[usize]) -> Table {
+    fn table(&self, columns: &[usize]) -> ReportTable {
         let names = columns.iter().filter_map(|&index| self.controllers.get(index).map(String::as_str));
         let header: Vec<&str> = std::iter::once("claim").chain(names).collect();
-        let mut table = Table::new(&header);
+        let mut table = ReportTable::new(&header);
         for claim in &self.claims {
-            let of = |&index: &usize| Some((claim.claims.get(index)?.as_ref(), claim.standings.get(index)?));
+            let of = |&index: &usize| Some((claim.claims.get(index)?.as_ref(), claim.statuses.get(index)?));
             let cells = columns.iter().filter_map(of).map(|(claim, standing)| match claim {
-                Some(_) => Cell::marked(standing.words(), standing.strength.mark()),
-                None => Cell::text("–"),
+                Some(_) => ReportCell::with_mark(standing.describe(), standing.strength.mark()),
+                None => ReportCell::text("–"),
             });
-            table.row(std::iter::once(Cell::text(&claim.claim)).chain(cells).collect());
+            table.push_row(std::iter::once(ReportCell::text(&claim.claim)).chain(cells).collect());
         }
         table
     }
 
-    fn name_table(&self) -> Table {
-        Table::of(&self.named, &[("name", &|one| Cell::text(&one.name)), ("what it is", &|one| Cell::text(&one.what))])
+    fn name_table(&self) -> ReportTable {
+        ReportTable::from_items(&self.named, &[("name", &|one| ReportCell::text(&one.name)), ("what it is", &|one| ReportCell::text(&one.what))])
     }
 
     /// Those the question is about, and the others.
     fn split_columns(&self) -> (Vec<usize>, Vec<usize>) {
-        (0..self.controllers.len()).partition(|index| self.asked.contains(index))
+        (0..self.controllers.len()).partition(|index| self.main_columns.contains(index))
     }
 }
 
@@ -132,7 +132,7 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
     let controllers =
         plan.controllers.iter().map(|one| NameExplanation { name: one.name.clone(), what: describe_controller(&one.kind) });
     let mut all: Vec<NameExplanation> = controllers.collect();
-    let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.abouts());
+    let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
     let own = plan.distributions.iter().chain(&plan.spaces);
     let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
     for (name, about) in own.chain(everyday) {
@@ -182,21 +182,21 @@ fn describe_process(process: &ProcessController) -> &'static str {
 /// Every claim, each of all controllers.
 fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
     let mut rows = Vec::new();
-    let mut add = |part, words: Option<String>, claims: Vec<Option<Claim>>| {
+    let mut add = |part, words: Option<String>, claims: Vec<Option<AssuranceClaim>>| {
         let Some(first) = claims.iter().flatten().next() else { return };
         if rows.iter().any(|known: &ClaimRow| known.claims == claims) {
             return;
         }
-        let claim = words.unwrap_or_else(|| first.words());
+        let claim = words.unwrap_or_else(|| first.describe());
         let standing =
-            |claim: &Option<Claim>| claim.as_ref().map_or_else(Standing::default, |one| ledger.standing(one));
+            |claim: &Option<AssuranceClaim>| claim.as_ref().map_or_else(ClaimStatus::default, |one| ledger.claim_status(one));
         let standings = claims.iter().map(standing).collect();
-        rows.push(ClaimRow { claim, part, claims, standings });
+        rows.push(ClaimRow { claim, part, claims, statuses: standings });
     };
-    let of_all = |property: Property, domain: Domain, estimator: EstimatorKind| -> Vec<Option<Claim>> {
+    let of_all = |property: Property, domain: Domain, estimator: EstimatorKind| -> Vec<Option<AssuranceClaim>> {
         let claim = |index| {
             let subject = plan.claimant(index, estimator)?;
-            Some(Claim { subject, property: property.clone(), domain: domain.clone() })
+            Some(AssuranceClaim { subject, property: property.clone(), domain: domain.clone() })
         };
         (0..plan.controllers.len()).map(claim).collect()
     };
@@ -238,16 +238,16 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     }
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
-        add("usefulness", None, of_all(Property::NoNeedlessBraking, traffic.clone(), own));
+        add("usefulness", None, of_all(Property::NoUnnecessaryBraking, traffic.clone(), own));
         add("usefulness", None, of_all(Property::KeepsUp, traffic.clone(), own));
         add("usefulness", None, of_all(Property::StringStable, usefulness.platoon_domain(), own));
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
     // Of all points of a space nothing but a proof could say that none fails; one that does is enough to say otherwise.
-    let mut spaces: Vec<&Known> = Vec::new();
+    let mut spaces: Vec<&ContentId> = Vec::new();
     let drawn = found.distributions.spaces.iter().filter(|drawn| drawn.draws > 0).map(|drawn| &drawn.space);
-    for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.known)) {
+    for space in drawn.chain(found.searches.spaces.iter().map(|searched| &searched.content_id)) {
         if !spaces.contains(&space) {
             spaces.push(space);
             add("search", None, of_all(Property::NoContact, Domain::Space { space: space.clone() }, own));
@@ -256,39 +256,39 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     if let Some(worst) = found.worst {
         add("worst", None, of_all(Property::NoContact, worst.domain(), own));
     }
-    for claim in found.proofs.boxes() {
-        let words = format!("{}, {}", claim.words(), seeing(claim.subject.estimator));
+    for claim in found.proofs.reach_claims() {
+        let words = format!("{}, {}", claim.describe(), describe_estimator(claim.subject.estimator));
         add("proofs", Some(words), of_all(claim.property.clone(), claim.domain.clone(), claim.subject.estimator));
     }
     let shielded = |controller: &NamedController| matches!(controller.kind, ControllerKind::Shielded(_));
-    let domain = |controller: &NamedController| kernel_domain(&kernels(controller));
+    let domain = |controller: &NamedController| kernel_domain(&shield_kernels(controller));
     for one in plan.controllers.iter().filter(|one| shielded(one)) {
         // Shields of other limits prove other things.
         let claim = |(index, other): (usize, &NamedController)| {
             let is_same = shielded(other) && domain(other) == domain(one);
             let subject = plan.claimant(index, own).filter(|_| is_same)?;
-            Some(Claim { subject, property: Property::NoContactAhead, domain: domain(one) })
+            Some(AssuranceClaim { subject, property: Property::NoContactAhead, domain: domain(one) })
         };
         add("proofs", None, plan.controllers.iter().enumerate().map(claim).collect());
     }
     rows
 }
 
-impl Part for ClaimSummary {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for ClaimSummary {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("verdict", "Claims".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
-        let (asked, others) = self.columns();
-        out.folded("what the names stand for", |out| out.table(&self.names()));
+    fn write(&self, out: &mut ReportDocument) {
+        let (asked, others) = self.split_columns();
+        out.collapsible("what the names stand for", |out| out.table(&self.name_table()));
         out.table(&self.table(&asked));
         if !others.is_empty() {
-            out.markdown().paragraph("The other controllers:");
-            out.folded("the other controllers", |out| out.table(&self.table(&others)));
+            out.markdown_mut().paragraph("The other controllers:");
+            out.collapsible("the other controllers", |out| out.table(&self.table(&others)));
         }
-        out.html(html! {
-            details { summary { "how evidence speaks for claims" } ul { li { (Rule::Own.words()) } @for rule in Rule::ALL { li { (rule.words()) } } } }
+        out.push_html(html! {
+            details { summary { "how evidence speaks for claims" } ul { li { (InferenceRule::Direct.describe()) } @for rule in InferenceRule::DERIVED { li { (rule.describe()) } } } }
         });
     }
 }

@@ -3,22 +3,22 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::sampling::{Draw, run_draws};
-use super::{StringStabilityVerdict, Percent};
+use super::sampling::{SampledRun, run_samples};
+use super::{StringStabilityVerdict, PercentInterval};
 use crate::assessment::case::CaseVerdict;
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, UncomparedText};
-use crate::assessment::document::Document;
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, UncomparedText};
+use crate::assessment::document::ReportDocument;
 use crate::assessment::gate::SpaceTally;
 use crate::assessment::rounded::or_dash;
-use crate::assessment::table::{Cell, Column, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Part, Rounded, StoreError};
-use crate::draw::{Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, text_width};
-use crumple_world::measure::{self, Following, NEEDLESS_MARGIN_MPS2};
-use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
+use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded, CacheError};
+use crate::draw::{Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, text_width};
+use crumple_world::measure::{self, FollowingMeasures, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
 use crumple_world::sim::{
-    NamedController, RecordingLevel, Run, RunError, RunOptions, Simulated, Unanswered, simulate_batch,
+    NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, FailedControllerRuns, simulate_batch,
 };
 
 /// The part's anchor in the page.
@@ -41,10 +41,10 @@ const TIME_GAP_S: f64 = 1.5;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct UsefulnessReport {
     /// Where nothing threatens, and where something does.
-    pub spaces: [Known; 2],
+    pub spaces: [ContentId; 2],
     /// The line in which a disturbance is followed.
     #[serde(rename = "line")]
-    pub platoon: Known,
+    pub platoon: ContentId,
     /// Draws of each space for each controller.
     pub draws: u64,
     /// Seed of the draws.
@@ -76,13 +76,13 @@ pub struct ControllerUsefulness {
     /// Drives in traffic, and draws where something threatens, that ended because its controller gave no answer. They are failures, and say
     /// nothing of how it drives.
     #[serde(default, skip_serializing_if = "all_answered")]
-    pub unanswered: [Option<Unanswered>; 2],
+    pub unanswered: [Option<FailedControllerRuns>; 2],
     /// Drives in traffic with braking without cause.
     #[serde(rename = "needless")]
     pub unnecessary_braking: u64,
     /// Their share, in percent, and its exact bounds.
     #[serde(rename = "needless_percent")]
-    pub unnecessary_braking_percent: Percent,
+    pub unnecessary_braking_percent: PercentInterval,
     /// Mean time of braking without cause in a drive, in seconds.
     #[serde(rename = "needless_s")]
     pub unnecessary_braking_s: Option<Rounded<2>>,
@@ -108,51 +108,51 @@ pub struct ControllerUsefulness {
     #[serde(rename = "line")]
     pub string_stability: StringStabilityVerdict,
     /// The share of failures where something threatens, in percent, and its exact bounds.
-    pub high_risk_percent: Percent,
+    pub high_risk_percent: PercentInterval,
 }
 
-fn all_answered(unanswered: &[Option<Unanswered>; 2]) -> bool {
+fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
 }
 
 /// What is kept of one drive in traffic.
 struct EverydayDrive {
     verdict: CaseVerdict,
-    usefulness: Option<measure::Usefulness>,
+    usefulness: Option<measure::UsefulnessReport>,
 }
 
 impl UsefulnessReport {
     /// None if the plan makes no such drives. The motion of each is looked at: these are slower than draws whose contacts
     /// alone are counted.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         if plan.config.everyday_draws == 0 {
             return Ok(None);
         }
         let inputs =
             json!([plan.config.everyday_draws, plan.config.seed, plan.config.estimator.name(), plan.identities()]);
-        work.get("usefulness", &inputs, || Self::run(plan, work))
+        work.get_or_gather("usefulness", &inputs, || Self::run(plan, work))
     }
 
-    fn run(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    fn run(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
         let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else { return Ok(None) };
         let spaces =
-            [&traffic, &high_risk].map(|space| space_file::to_toml(space).map(|text| Known::of(space.name(), text)));
+            [&traffic, &high_risk].map(|space| space_file::to_toml(space).map(|text| ContentId::new(space.name(), text)));
         let [traffic_known, high_risk_known] = spaces;
-        let spaces = [traffic_known.map_err(StoreError::encoding)?, high_risk_known.map_err(StoreError::encoding)?];
-        let draws = |space: Space| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
+        let spaces = [traffic_known.map_err(CacheError::encoding)?, high_risk_known.map_err(CacheError::encoding)?];
+        let draws = |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) = (draws(traffic)?, draws(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
-        let known_line = Known::scenario("a line of five vehicles behind a leader that slows down", &line);
+        let known_line = ContentId::from_scenario("a line of five vehicles behind a leader that slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-            let drives = EverydayDrive::all(&traffic, &options)?;
-            let danger = run_draws(&high_risk, controller, plan)?;
-            let line = StringStabilityVerdict::of(&line, &options)?;
-            work.did(2 * count + 1)?;
-            Ok(ControllerUsefulness::of(controller, &drives, &danger, line))
+            let drives = EverydayDrive::simulate_all(&traffic, &options)?;
+            let danger = run_samples(&high_risk, controller, plan)?;
+            let line = StringStabilityVerdict::simulate(&line, &options)?;
+            work.add_runs(2 * count + 1)?;
+            Ok(ControllerUsefulness::new(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, line: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
+        Ok(Some(Self { spaces, platoon: known_line, draws: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
     /// The drives as domains: where nothing threatens, and where something does.
@@ -174,9 +174,9 @@ impl UsefulnessReport {
 
     /// Returns how a controller fared in a space, if that is one of the two.
     pub(in crate::assessment) fn space_tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
-        let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.of(controller)?);
+        let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.find(controller)?);
         let failures = [useful.failures, useful.high_risk_failures];
-        let unanswered = useful.silent()[place];
+        let unanswered = useful.unanswered_runs()[place];
         Some(SpaceTally {
             scenarios: self.draws,
             collisions: failures[place].saturating_sub(unanswered),
@@ -187,7 +187,7 @@ impl UsefulnessReport {
 
     /// The line as a domain.
     pub(in crate::assessment) fn platoon_domain(&self) -> Domain {
-        Domain::Scenarios { about: UncomparedText(self.line.name.clone()), all: vec![self.line.clone()] }
+        Domain::Scenarios { about: UncomparedText(self.platoon.name.clone()), all: vec![self.platoon.clone()] }
     }
 
     /// What these drives say of contacts on both sides, of braking without cause and of keeping up.
@@ -199,12 +199,12 @@ impl UsefulnessReport {
             let [in_traffic, in_danger] = &useful.unanswered;
             let counts = [
                 (Property::NoContact, &traffic, touching(0, useful.failures), useful.cut_short[0], in_traffic),
-                (Property::NoNeedlessBraking, &traffic, useful.needless, 0, in_traffic),
+                (Property::NoUnnecessaryBraking, &traffic, useful.needless, 0, in_traffic),
                 (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
                 (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
             ];
-            let line = Claim { subject: subject.clone(), property: Property::StringStable, domain: self.platoon_domain() };
-            let source = Source::part(ANCHOR, "one run of a line");
+            let line = AssuranceClaim { subject: subject.clone(), property: Property::StringStable, domain: self.platoon_domain() };
+            let source = EvidenceSource::from_part(ANCHOR, "one run of a line");
             all.push(Evidence { claim: line, strength: useful.line.strength(), source });
             all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
                 strength: Strength::from_counts_with_unanswered(
@@ -213,8 +213,8 @@ impl UsefulnessReport {
                     silent.as_ref(),
                     property == Property::NoContact,
                 ),
-                claim: Claim { subject: subject.clone(), property, domain: domain.clone() },
-                source: Source::part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
+                claim: AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() },
+                source: EvidenceSource::from_part(ANCHOR, format!("{} drives, seed {}", self.draws, self.seed)),
             }));
         }
         all
@@ -224,7 +224,7 @@ impl UsefulnessReport {
         format!(
             "Who stands still hits nobody. {} draws of `traffic` (seed {}), everyday driving in which nobody need brake hard, \
              and as many of `high-risk`, the same for every controller. Braking is without cause where it is more than \
-             {NEEDLESS_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than \
+             {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at the true state, than \
              avoiding a contact took, and than the vehicle ahead braked itself. In the line, {FOLLOWERS} vehicles under test \
              follow a leader that slows down by 4 m/s and recovers: its gain is the last one's largest change of speed relative \
              to the leader's. Bounds are exact (Clopper–Pearson, {} %, each by itself).",
@@ -234,35 +234,35 @@ impl UsefulnessReport {
         )
     }
 
-    fn table(&self) -> Table {
+    fn table(&self) -> ReportTable {
         let pair = |[traffic, danger]: [u64; 2]| format!("{traffic}, {danger}");
-        let columns: [Column<'_, &ControllerUsefulness>; 17] = [
-            ("controller", &|one| Cell::text(&one.controller)),
-            ("fails in traffic", &|one| Cell::judged(one.failures, one.failures == 0)),
-            ("no answer in traffic, high-risk", &|one| Cell::judged(pair(one.silent()), one.silent() == [0, 0])),
-            ("brakes without cause %", &|one| match (one.needless, one.silent()) {
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 17] = [
+            ("controller", &|one| ReportCell::text(&one.controller)),
+            ("fails in traffic", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
+            ("no answer in traffic, high-risk", &|one| ReportCell::with_verdict(pair(one.unanswered_runs()), one.unanswered_runs() == [0, 0])),
+            ("brakes without cause %", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
                 // What was not driven was not driven without needless braking.
-                (0, [silent, _]) if silent > 0 => Cell::number(one.needless_percent.observed),
-                (needless, _) => Cell::judged(one.needless_percent.observed, needless == 0),
+                (0, [silent, _]) if silent > 0 => ReportCell::number(one.unnecessary_braking_percent.observed),
+                (needless, _) => ReportCell::with_verdict(one.unnecessary_braking_percent.observed, needless == 0),
             }),
-            ("bounds %", &|one| Cell::number(one.needless_percent.bounds())),
-            ("s a drive", &|one| Cell::optional(one.needless_s)),
-            ("brakes hard", &|one| Cell::number(one.hard)),
-            ("left behind", &|one| Cell::number(one.left_behind)),
-            ("progress", &|one| Cell::optional(one.progress)),
+            ("bounds %", &|one| ReportCell::number(one.unnecessary_braking_percent.format_bounds())),
+            ("s a drive", &|one| ReportCell::optional(one.unnecessary_braking_s)),
+            ("brakes hard", &|one| ReportCell::number(one.hard_braking)),
+            ("left behind", &|one| ReportCell::number(one.left_behind)),
+            ("progress", &|one| ReportCell::optional(one.progress)),
             ("time gap s", &|one| {
-                Cell::number(format!("{} ± {}", or_dash(one.time_gap_s), or_dash(one.time_gap_deviation_s)))
+                ReportCell::number(format!("{} ± {}", or_dash(one.time_gap_s), or_dash(one.time_gap_deviation_s)))
             }),
-            ("rms a m/s²", &|one| Cell::optional(one.rms_acceleration_mps2)),
-            ("rms jerk m/s³", &|one| Cell::optional(one.rms_jerk_mps3)),
-            ("follower brakes m/s²", &|one| Cell::optional(one.imposed_brake_mps2)),
-            ("gain of a line", &|one| one.line.cell()),
-            ("fails in high-risk %", &|one| Cell::number(one.high_risk_percent.observed)),
-            ("hit ahead in traffic, high-risk", &|one| Cell::number(pair(one.hit))),
-            ("hit from behind in traffic, high-risk", &|one| Cell::number(pair(one.was_hit))),
+            ("rms a m/s²", &|one| ReportCell::optional(one.rms_acceleration_mps2)),
+            ("rms jerk m/s³", &|one| ReportCell::optional(one.rms_jerk_mps3)),
+            ("follower brakes m/s²", &|one| ReportCell::optional(one.induced_brake_mps2)),
+            ("gain of a line", &|one| one.string_stability.table_cell()),
+            ("fails in high-risk %", &|one| ReportCell::number(one.high_risk_percent.observed)),
+            ("hit ahead in traffic, high-risk", &|one| ReportCell::number(pair(one.hit))),
+            ("hit from behind in traffic, high-risk", &|one| ReportCell::number(pair(one.was_hit))),
         ];
         let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
-        Table::without(&self.controllers, &columns, all_answered.then_some(2))
+        ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(2))
     }
 
     /// Of each controller that gave no answer somewhere: how often, and why.
@@ -270,10 +270,10 @@ impl UsefulnessReport {
         let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
             let words = places.filter_map(|(place, silent)| {
-                Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.words(self.draws)))
+                Some(format!("{} in `{place}`: {}", useful.controller, silent.as_ref()?.describe(self.draws)))
             });
-            let line = match &useful.line {
-                StringStabilityVerdict::NoAnswer { because } => {
+            let line = match &useful.string_stability {
+                StringStabilityVerdict::Unanswered { because } => {
                     Some(format!("{} in the line: gave no answer: {because}", useful.controller))
                 }
                 _ => None,
@@ -288,23 +288,23 @@ impl UsefulnessReport {
         let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
         let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
         let (width, height) = (480.0, 36.0 * names.len() as f64);
-        let frame = Frame { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numbers("Share of draws (%)", (0.0, 100.0), 5);
+        let frame = PixelRect { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
+        let axis = Axis::numeric("Share of draws (%)", (0.0, 100.0), 5);
         let title = "Failures in danger (×), needless brakes (○)";
-        let mut panel = Panel::new(frame, title, axis, Axis::names("", &names).reversed());
+        let mut panel = Panel::new(frame, title, axis, Axis::categorical("", &names).reversed());
         for (index, useful) in self.controllers.iter().enumerate() {
             let row = (names.len() - 1 - index) as f64;
             let sides = [
                 (useful.high_risk_percent, row + 0.15, Ink::Alert, Marker::Cross),
-                (useful.needless_percent, row - 0.15, Ink::Series(0), Marker::Ring),
+                (useful.unnecessary_braking_percent, row - 0.15, Ink::Series(0), Marker::Ring),
             ];
-            for (Percent { observed, lower, upper }, y, ink, marker) in sides {
-                panel.segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
-                panel.marks(&[(observed.value(), y)], marker, ink);
+            for (PercentInterval { observed, lower, upper }, y, ink, marker) in sides {
+                panel.add_segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
+                panel.add_markers(&[(observed.value(), y)], marker, ink);
             }
         }
         let of = |useful: &ControllerUsefulness| {
-            let (fails, brakes) = (useful.high_risk_percent.observed, useful.needless_percent.observed);
+            let (fails, brakes) = (useful.high_risk_percent.observed, useful.unnecessary_braking_percent.observed);
             format!(
                 "{} fails in {fails} % of high-risk, brakes without cause in {brakes} % of traffic",
                 useful.controller
@@ -321,16 +321,16 @@ impl EverydayDrive {
         let runs =
             scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         Ok(simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-            Self::of(runs[index].scenario(), &simulated)
+            Self::new(runs[index].scenario(), &simulated)
         }))
     }
 
-    fn new(scenario: &Scenario, simulated: &Simulated) -> Self {
+    fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
         let usefulness = simulated.trace.as_ref().zip(ego);
         Self {
-            verdict: CaseVerdict::of(simulated, scenario),
-            usefulness: usefulness.and_then(|(trace, ego)| measure::Usefulness::of(trace, &simulated.impacts, ego)),
+            verdict: CaseVerdict::new(simulated, scenario),
+            usefulness: usefulness.and_then(|(trace, ego)| measure::UsefulnessReport::of(trace, &simulated.impacts, ego)),
         }
     }
 }
@@ -342,25 +342,25 @@ impl ControllerUsefulness {
         self.unanswered.each_ref().map(|silent| silent.as_ref().map_or(0, |silent| silent.runs))
     }
 
-    fn new(controller: &NamedController, drives: &[EverydayDrive], danger: &[Draw], line: StringStabilityVerdict) -> Self {
+    fn new(controller: &NamedController, drives: &[EverydayDrive], danger: &[SampledRun], line: StringStabilityVerdict) -> Self {
         // A drive that its controller ended by giving no answer shows neither how it drives nor that it is not left behind.
         let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
         let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
         let mut unanswered = [None, None];
-        drives.iter().for_each(|drive| Unanswered::join(&mut unanswered[0], drive.verdict.unanswered()));
-        danger.iter().for_each(|draw| Unanswered::join(&mut unanswered[1], draw.verdict.unanswered()));
-        let count = |is: &dyn Fn(&measure::Usefulness) -> bool| all.iter().filter(|one| is(one)).count() as u64;
-        let mean = |of: &dyn Fn(&measure::Usefulness) -> Option<f64>| {
+        drives.iter().for_each(|drive| FailedControllerRuns::merge(&mut unanswered[0], drive.verdict.unanswered()));
+        danger.iter().for_each(|draw| FailedControllerRuns::merge(&mut unanswered[1], draw.verdict.unanswered()));
+        let count = |is: &dyn Fn(&measure::UsefulnessReport) -> bool| all.iter().filter(|one| is(one)).count() as u64;
+        let mean = |of: &dyn Fn(&measure::UsefulnessReport) -> Option<f64>| {
             let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
             (n > 0).then(|| Rounded::new(sum / f64::from(n)))
         };
-        let following = |of: fn(Following) -> Option<f64>| mean(&|one| one.following.and_then(of));
+        let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
         let needless = count(&|one| !one.needless.is_none());
         // What those would have come to is not known.
-        let silent = unanswered[0].as_ref().map_or(0, |silent: &Unanswered| silent.runs);
+        let silent = unanswered[0].as_ref().map_or(0, |silent: &FailedControllerRuns| silent.runs);
         let (drives_end, danger_ends) =
             (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|draw| &draw.verdict));
-        let [in_traffic, in_danger] = [EndCounts::of(drives_end), EndCounts::of(danger_ends)];
+        let [in_traffic, in_danger] = [EndCounts::from_verdicts(drives_end), EndCounts::from_verdicts(danger_ends)];
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures,
@@ -369,19 +369,19 @@ impl ControllerUsefulness {
             high_risk_failures: in_danger.failures,
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
-            needless,
-            needless_percent: Percent::exact([needless, silent], drives.len() as u64, CONFIDENCE),
-            needless_s: mean(&|one| Some(one.needless.time_s)),
-            hard: count(&|one| !one.hard.is_none()),
+            unnecessary_braking: needless,
+            unnecessary_braking_percent: PercentInterval::clopper_pearson([needless, silent], drives.len() as u64, CONFIDENCE),
+            unnecessary_braking_s: mean(&|one| Some(one.needless.time_s)),
+            hard_braking: count(&|one| !one.hard.is_none()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
             progress: following(|following| following.progress),
             time_gap_s: following(|following| following.mean_time_gap_s),
             time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
             rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
-            imposed_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
-            line,
-            high_risk_percent: Percent::exact(
+            induced_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
+            string_stability: line,
+            high_risk_percent: PercentInterval::clopper_pearson(
                 [in_danger.failures, in_danger.cut_short],
                 danger.len() as u64,
                 CONFIDENCE,
@@ -405,7 +405,7 @@ impl EndCounts {
         let mut ends = Self::default();
         for verdict in verdicts {
             ends.failures += u64::from(verdict.is_failure());
-            ends.cut_short += u64::from(!verdict.counts());
+            ends.cut_short += u64::from(!verdict.is_conclusive());
             ends.hit += u64::from(matches!(verdict, CaseVerdict::Hit(_)));
             ends.was_hit += u64::from(matches!(verdict, CaseVerdict::WasHit(_)));
         }
@@ -413,15 +413,15 @@ impl EndCounts {
     }
 }
 
-impl Part for UsefulnessReport {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for UsefulnessReport {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Usefulness: everyday traffic".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
         out.table(&self.table());
-        self.silent().iter().for_each(|line| out.paragraph(line));
+        self.unanswered_notes().iter().for_each(|line| out.paragraph(line));
         out.figure(self.figure(ANCHOR));
     }
 }

@@ -3,19 +3,19 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::worst_figure;
-use crate::assessment::avoidance::Best;
-use crate::assessment::case::{Case, CaseVerdict, Motion, PileUp, run_cases};
-use crate::assessment::claims::{Claim, Domain, Evidence, Known, Property, Source, Strength, Subject};
+use super::worst_profiles_figure;
+use crate::assessment::avoidance::RoundedAvoidance;
+use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, PileUp, run_cases};
+use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength, Subject};
 use crate::assessment::commands::controller_arg;
-use crate::assessment::document::Document;
+use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::table::{Cell, Table};
-use crate::assessment::gather_context::Work;
-use crate::assessment::{AssessError, AssessmentPlan, Command, Part, Rounded};
+use crate::assessment::table::{ReportCell, ReportTable};
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::observer::Quiet;
 use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, attack};
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RunOptions};
 
 /// The scenario whose leader brakes.
@@ -39,7 +39,7 @@ pub struct WorstProfiles {
     /// One entry a controller.
     pub profiles: Vec<WorstProfile>,
     #[serde(skip)]
-    content_id: Known,
+    content_id: ContentId,
 }
 
 /// What was found against one controller.
@@ -49,7 +49,7 @@ pub struct WorstProfile {
     /// The controller.
     pub controller: String,
     /// How to find it again; none of a controller from outside.
-    pub replay: Option<Command>,
+    pub replay: Option<CrumpleCommand>,
     /// Simulations spent.
     pub evaluations: usize,
     /// Convex programs solved.
@@ -72,7 +72,7 @@ pub struct MildestAttack {
     pub pile_up: Option<PileUp>,
     /// Whether a driver could have avoided it.
     #[serde(rename = "best")]
-    pub avoidance: Best,
+    pub avoidance: RoundedAvoidance,
     /// Margin that the last convex program predicted, in metres: the smallest gap, or minus v²/10 of an impact at v m/s. None where the
     /// controller gave no answer.
     pub predicted_margin_m: Option<Rounded<3>>,
@@ -82,28 +82,28 @@ pub struct MildestAttack {
     pub method: AttackMethod,
     /// The profile, for the figure.
     #[serde(skip)]
-    pub(super) profile: Option<Pieces>,
+    pub(super) profile: Option<PiecewiseAcceleration>,
 }
 
 impl WorstProfiles {
     /// What is braked for; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenario(plan: &AssessmentPlan) -> Result<Option<(Scenario, Envelope)>, AssessError> {
-        let Some(scenario) = built_in(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
+        let Some(scenario) = built_in_scenario(SCENARIO).filter(|_| plan.config.paper) else { return Ok(None) };
         let scenario = scenario.edited(|spec| spec.seed = plan.config.seed)?;
-        let envelope = Envelope::of(&scenario);
+        let envelope = Envelope::from_scenario(&scenario);
         Ok(Some((scenario, envelope)))
     }
 
     /// None if the scenario is not shipped.
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &Work<'_>) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
         let Some((scenario, envelope)) = Self::scenario(plan)? else { return Ok(None) };
-        let known = Known::scenario(SCENARIO, &scenario);
+        let known = ContentId::from_scenario(SCENARIO, &scenario);
         let against =
             |controller: &NamedController| WorstProfile::gather(plan, (&scenario, envelope), controller, work);
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
-            known,
+            content_id: known,
             duration_s: scenario.spec().duration_s.into(),
             max_brake_mps2: envelope.max_brake_mps2.into(),
             max_jerk_mps3: envelope.jerk_mps3.into(),
@@ -118,23 +118,23 @@ impl WorstProfiles {
                 Some(mildest) if mildest.verdict.unanswered().is_some() => {
                     Strength::from_counts_with_unanswered(0, 1, mildest.verdict.unanswered().as_ref(), true)
                 }
-                Some(mildest) => Strength::Defeated { peak_brake_mps2: mildest.peak_brake_mps2 },
+                Some(mildest) => Strength::AttackFound { peak_brake_mps2: mildest.peak_brake_mps2 },
                 // A search that found nothing is as many tests.
-                None => Strength::of(0, profile.evaluations as u64),
+                None => Strength::from_counts(0, profile.evaluations as u64),
             };
-            let claim = Claim { subject, property: Property::NoContact, domain: self.domain() };
-            Evidence { claim, strength, source: Source::part("worst", format!("{} simulations", profile.evaluations)) }
+            let claim = AssuranceClaim { subject, property: Property::NoContact, domain: self.domain() };
+            Evidence { claim, strength, source: EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations)) }
         };
         plan.claimants().into_iter().zip(&self.profiles).map(of).collect()
     }
 
     /// The scenario with any braking of its leader, as a domain.
     pub(in crate::assessment) fn domain(&self) -> Domain {
-        Domain::AnyLeaderBraking { scenario: self.known.clone() }
+        Domain::AnyLeaderBraking { scenario: self.content_id.clone() }
     }
 
     /// Commands that find the profiles again.
-    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &Command> {
+    pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.profiles.iter().filter_map(|profile| profile.replay.as_ref())
     }
 
@@ -142,20 +142,20 @@ impl WorstProfiles {
         self.profiles.iter().filter_map(|profile| Some((profile.controller.as_str(), profile.mildest.as_ref()?)))
     }
 
-    fn table(&self) -> Table {
-        Table::of(
-            self.found(),
+    fn table(&self) -> ReportTable {
+        ReportTable::from_items(
+            self.attacks(),
             &[
-                ("controller", &|(controller, _)| Cell::text(controller)),
-                ("peak of the leader (m/s²)", &|(_, mildest)| Cell::number(mildest.peak_brake_mps2)),
-                ("∫a² (m²/s³)", &|(_, mildest)| Cell::number(mildest.effort_m2ps3)),
-                ("what follows", &|(_, mildest)| Cell::marked(mildest.verdict.words(), mildest.verdict.mark())),
-                ("pile-up (vehicles)", &|(_, mildest)| Cell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))),
-                ("gap of the best escape found", &|(_, mildest)| Cell::text(mildest.best.brief())),
-                ("margin predicted (m)", &|(_, mildest)| Cell::optional(mildest.predicted_margin_m)),
-                ("simulated (m)", &|(_, mildest)| Cell::optional(mildest.margin_m)),
+                ("controller", &|(controller, _)| ReportCell::text(controller)),
+                ("peak of the leader (m/s²)", &|(_, mildest)| ReportCell::number(mildest.peak_brake_mps2)),
+                ("∫a² (m²/s³)", &|(_, mildest)| ReportCell::number(mildest.effort_m2ps3)),
+                ("what follows", &|(_, mildest)| ReportCell::with_mark(mildest.verdict.describe(), mildest.verdict.mark())),
+                ("pile-up (vehicles)", &|(_, mildest)| ReportCell::optional(mildest.pile_up.map(|pile_up| pile_up.vehicles))),
+                ("gap of the best escape found", &|(_, mildest)| ReportCell::text(mildest.avoidance.label())),
+                ("margin predicted (m)", &|(_, mildest)| ReportCell::optional(mildest.predicted_margin_m)),
+                ("simulated (m)", &|(_, mildest)| ReportCell::optional(mildest.margin_m)),
                 ("a milder one is", &|(_, mildest)| {
-                    Cell::text(match mildest.method {
+                    ReportCell::text(match mildest.method {
                         _ if mildest.verdict.unanswered().is_some() => "–",
                         AttackMethod::Exact => "ruled out on this grid",
                         AttackMethod::Widened => "not ruled out, but near the least",
@@ -180,9 +180,9 @@ impl WorstProfiles {
     }
 
     fn describe_avoidable(&self) -> String {
-        let touching = self.found().filter(|(_, mildest)| mildest.verdict.unanswered().is_none());
+        let touching = self.attacks().filter(|(_, mildest)| mildest.verdict.unanswered().is_none());
         let (found, avoidable) = touching.fold((0, 0), |(found, avoidable), (_, mildest)| {
-            (found + 1, avoidable + usize::from(matches!(mildest.best, Best::Avoidable { .. })))
+            (found + 1, avoidable + usize::from(matches!(mildest.avoidance, RoundedAvoidance::Avoidable { .. })))
         });
         format!("Another driver would have avoided {avoidable} of these {found} collisions.")
     }
@@ -206,20 +206,20 @@ impl WorstProfile {
         plan: &AssessmentPlan,
         (scenario, envelope): (&Scenario, Envelope),
         controller: &NamedController,
-        work: &Work<'_>,
+        work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let item = format!("worst profile against {}", controller.name);
         // The profile stands beside: evidence that is published holds rounded numbers only.
-        let (mut found, profile): (Self, Option<Pieces>) =
-            work.get(&item, &(plan.config.seed, plan.identity(controller)), || {
-                let found = Self::of(scenario, controller, envelope, plan)?;
+        let (mut found, profile): (Self, Option<PiecewiseAcceleration>) =
+            work.get_or_gather(&item, &(plan.config.seed, plan.identity(controller)), || {
+                let found = Self::search(scenario, controller, envelope, plan)?;
                 let profile = found.mildest.as_ref().and_then(|mildest| mildest.profile.clone());
                 Ok::<_, AssessError>((found, profile))
             })?;
         if let Some(mildest) = &mut found.mildest {
             mildest.profile = profile;
         }
-        work.did(BUDGET as u64)?;
+        work.add_runs(ATTACK_BUDGET as u64)?;
         Ok(found)
     }
 
@@ -230,15 +230,15 @@ impl WorstProfile {
         plan: &AssessmentPlan,
     ) -> Result<Self, AssessError> {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-        let AttackResult { found, evaluations, programs } =
-            attack(scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet)?;
+        let AttackResult { attack: found, evaluations, programs } =
+            attack(scenario, &options, Aim::Mildest, envelope, ATTACK_BUDGET, &Quiet)?;
         let mildest = match found {
-            Some(attack) => MildestAttack::of(attack, controller, plan)?,
+            Some(attack) => MildestAttack::from_attack(attack, controller, plan)?,
             None => None,
         };
         let replay = controller_arg(&controller.kind).map(|word| {
-            let attack = Command::new(["worst-case", SCENARIO, "--controller", word.as_str()]);
-            attack.and(plan.estimator_args().iter().copied())
+            let attack = CrumpleCommand::new(["worst-case", SCENARIO, "--controller", word.as_str()]);
+            attack.with_args(plan.estimator_args().iter().copied())
         });
         Ok(Self { controller: controller.name.clone(), replay, evaluations, programs, mildest })
     }
@@ -247,9 +247,9 @@ impl WorstProfile {
 impl MildestAttack {
     fn from_attack(attack: Attack, controller: &NamedController, plan: &AssessmentPlan) -> Result<Option<Self>, AssessError> {
         let one = std::slice::from_ref(controller);
-        let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, Motion::Dropped)?;
-        let Some(Case { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
-        let best = Best::of(&attack.scenario);
+        let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, MotionRetention::Drop)?;
+        let Some(CaseResult { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
+        let best = RoundedAvoidance::compute(&attack.scenario);
         let leader = attack.scenario.vehicles().first().map(|leader| &leader.driver);
         let Some(Driver::Profile(LeadProfile::Pieces(profile))) = leader.cloned() else { return Ok(None) };
         Ok(Some(Self {
@@ -257,30 +257,30 @@ impl MildestAttack {
             effort_m2ps3: attack.effort_m2ps3.into(),
             verdict,
             pile_up,
-            best,
-            predicted_margin_m: attack.outcome.failed().is_none().then(|| attack.predicted_margin_m.into()),
-            margin_m: attack.outcome.failed().is_none().then(|| attack.margin_m.into()),
+            avoidance: best,
+            predicted_margin_m: attack.outcome.failed_controller().is_none().then(|| attack.predicted_margin_m.into()),
+            margin_m: attack.outcome.failed_controller().is_none().then(|| attack.margin_m.into()),
             method: attack.method,
             profile: Some(profile),
         }))
     }
 }
 
-impl Part for WorstProfiles {
-    fn heading(&self) -> (&'static str, String) {
+impl ReportPart for WorstProfiles {
+    fn anchor_and_title(&self) -> (&'static str, String) {
         ("worst", "Worst brake profiles".to_owned())
     }
 
-    fn write(&self, out: &mut Document) {
+    fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
-        if self.found().next().is_some() {
+        if self.attacks().next().is_some() {
             out.table(&self.table());
-            out.paragraph(&self.avoidable());
-            out.figure(worst_profiles_figure::responsive(self.found(), self.duration_s.value()));
+            out.paragraph(&self.describe_avoidable());
+            out.figure(worst_profiles_figure::draw_responsive(self.attacks(), self.duration_s.value()));
         }
-        self.withstood().iter().for_each(|line| out.paragraph(line));
-        out.folded("commands that find them again", |out| out.commands(self.commands()));
-        out.markdown().paragraph("Commands that find them again:");
-        out.markdown().list(self.commands().map(Inline::code));
+        self.describe_withstood().iter().for_each(|line| out.paragraph(line));
+        out.collapsible("commands that find them again", |out| out.commands(self.commands()));
+        out.markdown_mut().paragraph("Commands that find them again:");
+        out.markdown_mut().list(self.commands().map(Inline::code));
     }
 }

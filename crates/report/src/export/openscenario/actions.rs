@@ -5,9 +5,9 @@
 
 use std::io;
 
-use super::polyline::needed;
-use super::storyboard::{Move, speed};
-use super::{OpenScenarioError, Xml, leaf, number, within};
+use super::polyline::simplify_polyline;
+use super::storyboard::{VehicleManeuver, write_speed_action};
+use super::{OpenScenarioError, Xml, write_empty_element, format_number, write_element};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
@@ -35,7 +35,7 @@ enum ScriptedAction {
 /// One move a scripted vehicle.
 pub(super) fn scripted_vehicles(scenario: &Scenario) -> Result<Vec<ScriptedVehicle>, OpenScenarioError> {
     let scripted = |(index, vehicle): (usize, &VehicleSpec)| match &vehicle.driver {
-        Driver::Profile(profile) => Some(action(scenario, index, profile).map(|action| ScriptedVehicle { index, action })),
+        Driver::Profile(profile) => Some(scripted_action(scenario, index, profile).map(|action| ScriptedVehicle { index, action })),
         _ => None,
     };
     scenario.vehicles().iter().enumerate().filter_map(scripted).collect()
@@ -49,15 +49,15 @@ fn scripted_action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> 
         rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps => {
             ScriptedAction::Brake { onset_s, rate_mps2, final_speed_mps }
         }
-        _ => ScriptedAction::Nothing,
+        _ => ScriptedAction::KeepSpeed,
     };
     match profile {
-        LeadProfile::ConstantSpeed => Ok(ScriptedAction::Nothing),
+        LeadProfile::ConstantSpeed => Ok(ScriptedAction::KeepSpeed),
         LeadProfile::Brake(script) => Ok(brake(script.onset_s, script.rate_mps2, 0.0)),
         LeadProfile::BrakeToSpeed(script) => Ok(brake(script.onset_s, script.rate_mps2, script.final_speed_mps)),
         LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) | LeadProfile::Recorded(_) => {
             let why = |why: String| OpenScenarioError::Script { vehicle: index, why };
-            let alone = alone(scenario, index).map_err(why)?;
+            let alone = isolate_vehicle(scenario, index).map_err(why)?;
             let trace = {
                 let run = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader(Default::default())))
                     .map_err(|error| why(error.to_string()))?;
@@ -66,7 +66,7 @@ fn scripted_action(scenario: &Scenario, index: usize, profile: &LeadProfile) -> 
             let (time_s, speed_mps) = trace
                 .and_then(|trace| Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps)))
                 .unwrap_or_default();
-            let kept = needed(&time_s, &speed_mps, PROFILE_TOLERANCE_MPS, |_| None);
+            let kept = simplify_polyline(&time_s, &speed_mps, PROFILE_TOLERANCE_MPS, |_| None);
             let mut before_s = 0.0;
             let entries = kept.into_iter().filter_map(|sample| {
                 let (now_s, mps) = (*time_s.get(sample)?, *speed_mps.get(sample)?);
@@ -106,28 +106,28 @@ impl ScriptedVehicle {
     }
 }
 
-impl Move for ScriptedVehicle {
-    fn index(&self) -> usize {
-        self.index
+impl VehicleManeuver for ScriptedVehicle {
+    fn vehicle_index(&self) -> usize {
+        self.vehicle_index
     }
 
-    fn starts(&self) -> Option<(&'static str, f64)> {
+    fn start_event(&self) -> Option<(&'static str, f64)> {
         match self.action {
             ScriptedAction::Brake { onset_s, .. } => Some(("brake", onset_s)),
             ScriptedAction::Profile(_) => Some(("speeds", 0.0)),
-            ScriptedAction::Nothing => None,
+            ScriptedAction::KeepSpeed => None,
         }
     }
 
-    fn write(&self, xml: &mut Xml) -> io::Result<()> {
-        within(xml, "LongitudinalAction", &[], |xml| match &self.action {
-            ScriptedAction::Nothing => Ok(()),
+    fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
+        write_element(xml, "LongitudinalAction", &[], |xml| match &self.action {
+            ScriptedAction::KeepSpeed => Ok(()),
             ScriptedAction::Brake { rate_mps2, final_speed_mps, .. } => {
-                speed(xml, ("linear", "rate", *rate_mps2), *final_speed_mps)
+                write_speed_action(xml, ("linear", "rate", *rate_mps2), *final_speed_mps)
             }
-            ScriptedAction::Profile(entries) => within(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
+            ScriptedAction::Profile(entries) => write_element(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
                 entries.iter().try_for_each(|&(after_s, mps)| {
-                    leaf(xml, "SpeedProfileEntry", &[("time", &number(after_s)), ("speed", &number(mps))])
+                    write_empty_element(xml, "SpeedProfileEntry", &[("time", &format_number(after_s)), ("speed", &format_number(mps))])
                 })
             }),
         })

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::{Xml, entity, leaf, number, text, within};
+use super::{Xml, entity_name, write_empty_element, format_number, attribute_text, write_element};
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
 /// The rear axle's distance from the rear bumper, as a share of the length. The front axle has the same from the front.
@@ -35,13 +35,13 @@ pub(super) fn controller_name(vehicle: &VehicleSpec) -> Option<&'static str> {
 
 /// All vehicles; with a controller for each that drives by one, if the user is to fill it.
 pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controllers: bool) -> io::Result<()> {
-    within(xml, "Entities", &[], |xml| {
+    write_element(xml, "Entities", &[], |xml| {
         for (index, vehicle) in scenario.vehicles().iter().enumerate() {
-            within(xml, "ScenarioObject", &[("name", &entity(index))], |xml| {
+            write_element(xml, "ScenarioObject", &[("name", &entity_name(index))], |xml| {
                 write_vehicle(xml, vehicle)?;
-                match controller(vehicle) {
-                    Some(name) if with_controllers => within(xml, "ObjectController", &[], |xml| {
-                        within(xml, "Controller", &[("name", &text(name))], |xml| leaf(xml, "Properties", &[]))
+                match controller_name(vehicle) {
+                    Some(name) if with_controllers => write_element(xml, "ObjectController", &[], |xml| {
+                        write_element(xml, "Controller", &[("name", &attribute_text(name))], |xml| write_empty_element(xml, "Properties", &[]))
                     }),
                     _ => Ok(()),
                 }
@@ -52,40 +52,40 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
 }
 
 fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
-    let body = body(vehicle.class);
+    let body = vehicle_shape(vehicle.class);
     let length_m = vehicle.length_m();
-    let (length, mass) = (number(length_m), number(vehicle.mass_kg()));
-    let wheelbase = number(length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE));
-    let [width, height, half_height] = [body.width_m, body.height_m, body.height_m / 2.0].map(number);
-    let [diameter, axle_height] = [body.wheel_diameter_m, body.wheel_diameter_m / 2.0].map(number);
+    let (length, mass) = (format_number(length_m), format_number(vehicle.mass_kg()));
+    let wheelbase = format_number(length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE));
+    let [width, height, half_height] = [body.width_m, body.height_m, body.height_m / 2.0].map(format_number);
+    let [diameter, axle_height] = [body.wheel_diameter_m, body.wheel_diameter_m / 2.0].map(format_number);
     let named = [("name", vehicle.class.name()), ("vehicleCategory", body.category), ("mass", &mass)];
-    within(xml, "Vehicle", &named, |xml| {
-        within(xml, "BoundingBox", &[], |xml| {
-            let middle = number(length_m * (0.5 - REAR_OVERHANG_SHARE));
-            leaf(xml, "Center", &[("x", &middle), ("y", "0"), ("z", &half_height)])?;
-            leaf(xml, "Dimensions", &[("width", &width), ("length", &length), ("height", &height)])
+    write_element(xml, "Vehicle", &named, |xml| {
+        write_element(xml, "BoundingBox", &[], |xml| {
+            let middle = format_number(length_m * (0.5 - REAR_OVERHANG_SHARE));
+            write_empty_element(xml, "Center", &[("x", &middle), ("y", "0"), ("z", &half_height)])?;
+            write_empty_element(xml, "Dimensions", &[("width", &width), ("length", &length), ("height", &height)])
         })?;
         write_performance(xml, vehicle)?;
-        within(xml, "Axles", &[], |xml| {
+        write_element(xml, "Axles", &[], |xml| {
             let axle = |xml: &mut Xml, name: &str, steering: &str, x: &str| {
                 let wheels =
                     [("wheelDiameter", diameter.as_str()), ("trackWidth", &width), ("positionZ", &axle_height)];
-                leaf(xml, name, &[&[("maxSteering", steering), ("positionX", x)], &wheels[..]].concat())
+                write_empty_element(xml, name, &[&[("maxSteering", steering), ("positionX", x)], &wheels[..]].concat())
             };
             axle(xml, "FrontAxle", "0.5", &wheelbase)?;
             axle(xml, "RearAxle", "0", "0")
         })?;
-        within(xml, "Properties", &[], |xml| {
-            leaf(xml, "Property", &[("name", "driver"), ("value", &text(vehicle.driver.name()))])
+        write_element(xml, "Properties", &[], |xml| {
+            write_empty_element(xml, "Property", &[("name", "driver"), ("value", &attribute_text(vehicle.driver.name()))])
         })
     })
 }
 
 /// Limits on a dry road.
 fn write_performance(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
-    let [speed, accel, brake] = [MAX_SPEED_MPS, vehicle.max_accel_mps2(), vehicle.max_brake_mps2()].map(number);
-    let jerk = vehicle.jerk_limit_mps3.map(number);
+    let [speed, accel, brake] = [MAX_SPEED_MPS, vehicle.max_accel_mps2(), vehicle.max_brake_mps2()].map(format_number);
+    let jerk = vehicle.jerk_limit_mps3.map(format_number);
     let mut limits = vec![("maxSpeed", speed.as_str()), ("maxAcceleration", &accel), ("maxDeceleration", &brake)];
     limits.extend(jerk.iter().flat_map(|jerk| [("maxAccelerationRate", jerk.as_str()), ("maxDecelerationRate", jerk)]));
-    leaf(xml, "Performance", &limits)
+    write_empty_element(xml, "Performance", &limits)
 }

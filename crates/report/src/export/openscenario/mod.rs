@@ -21,7 +21,7 @@ use quick_xml::events::{BytesDecl, Event};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 
-use crate::draw::printable;
+use crate::draw::strip_unprintable;
 
 /// Most vertices of one file: 100 MB of them.
 pub(crate) const MAX_VERTICES: usize = 1_000_000;
@@ -42,7 +42,7 @@ pub struct OpenScenario {
 #[non_exhaustive]
 pub enum OpenScenarioError {
     /// More vertices than any simulator should have to read.
-    #[error("takes {found} vertices, and an OpenSCENARIO file may have {MOST_VERTICES}: shorten the scenario")]
+    #[error("takes {found} vertices, and an OpenSCENARIO file may have {MAX_VERTICES}: shorten the scenario")]
     TooLong {
         /// How many it takes.
         found: usize,
@@ -87,16 +87,16 @@ pub fn export_trajectories(
     road: &str,
 ) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
-    let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertices(&trace.time_s, track)).collect();
-    let vertices = bounded(kept.iter().map(Vec::len).sum())?;
+    let kept: Vec<Vec<usize>> = trace.vehicles.iter().map(|track| polyline::vertex_indices(&trace.time_s, track)).collect();
+    let vertices = check_vertex_count(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
     let moves: Vec<_> =
-        kept.iter().enumerate().map(|(index, kept)| polyline::Trajectory { index, trace, kept, end_s }).collect();
+        kept.iter().enumerate().map(|(index, kept)| polyline::Trajectory { index, trace, vertex_indices: kept, end_s }).collect();
     let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
     let about = &format!("what every vehicle did{under}, as trajectories");
-    let file = storyboard::File { scenario, road, about, end_s, leaves_drivers: false };
+    let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: false };
     Ok(OpenScenario {
-        scenario: document(|xml| file.write(xml, &moves))?,
+        scenario: write_document(|xml| file.write(xml, &moves))?,
         road: road::road_for_trace(scenario, trace)?,
         vertices,
     })
@@ -112,15 +112,15 @@ pub fn export_trajectories(
 /// lane, and [`OpenScenarioError::Script`] for a script that cannot be driven alone, which no valid scenario has.
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
-    let moves = actions::of(scenario)?;
-    let vertices = bounded(moves.iter().map(actions::Scripted::entries).sum())?;
+    let moves = actions::scripted_vehicles(scenario)?;
+    let vertices = check_vertex_count(moves.iter().map(actions::ScriptedVehicle::profile_entry_count).sum())?;
     let end_s = scenario.spec().duration_s;
-    let scripts_mps = moves.iter().map(actions::Scripted::fastest_mps).fold(0.0, f64::max);
+    let scripts_mps = moves.iter().map(actions::ScriptedVehicle::max_speed_mps).fold(0.0, f64::max);
     let about = "what the scripted vehicles do; the others are left to controllers";
-    let file = storyboard::File { scenario, road, about, end_s, leaves_drivers: true };
+    let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: true };
     Ok(OpenScenario {
-        scenario: document(|xml| file.write(xml, &moves))?,
-        road: road::of_scenario(scenario, scripts_mps)?,
+        scenario: write_document(|xml| file.write(xml, &moves))?,
+        road: road::road_for_scenario(scenario, scripts_mps)?,
         vertices,
     })
 }
@@ -164,7 +164,7 @@ fn format_number(value: f64) -> String {
 /// What a user wrote, as the value of an attribute: one line of what XML allows. What begins with a dollar sign is a
 /// parameter's name in OpenSCENARIO, so it gets a blank before it.
 fn attribute_text(written: &str) -> String {
-    let text = printable(written);
+    let text = strip_unprintable(written);
     if text.starts_with('$') { format!(" {text}") } else { text }
 }
 
@@ -182,5 +182,5 @@ fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
 fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
     let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };
-    text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()
+    attribute_text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()
 }

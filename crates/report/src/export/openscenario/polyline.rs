@@ -4,8 +4,8 @@ use std::io;
 
 use quick_xml::events::{BytesText, Event};
 
-use super::storyboard::Move;
-use super::{Xml, leaf, number, reference_m, within};
+use super::storyboard::VehicleManeuver;
+use super::{Xml, write_empty_element, format_number, reference_point_m, write_element};
 use crumple_world::sim::{Trace, Track};
 
 /// How far a polyline may be from where the vehicle was, in metres.
@@ -22,7 +22,7 @@ const HOLD_S: f64 = 1.0;
 pub(super) fn vertex_indices(time_s: &[f64], track: &Track) -> Vec<usize> {
     let spread =
         |index: usize| track.speed_mps.get(index).map(|&mps| [mps - SPEED_TOLERANCE_MPS, mps + SPEED_TOLERANCE_MPS]);
-    let mut kept = needed(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
+    let mut kept = simplify_polyline(time_s, &track.position_m, POSITION_TOLERANCE_M, spread);
     // A contact may be a billionth of a second after a step.
     if let [.., before, last] = *kept
         && let (Some(from_s), Some(to_s)) = (time_s.get(before), time_s.get(last))
@@ -77,28 +77,28 @@ pub(super) struct Trajectory<'a> {
     pub(super) end_s: f64,
 }
 
-impl Move for Trajectory<'_> {
-    fn index(&self) -> usize {
-        self.index
+impl VehicleManeuver for Trajectory<'_> {
+    fn vehicle_index(&self) -> usize {
+        self.vehicle_index
     }
 
-    fn starts(&self) -> Option<(&'static str, f64)> {
+    fn start_event(&self) -> Option<(&'static str, f64)> {
         Some(("trajectory", 0.0))
     }
 
-    fn write(&self, xml: &mut Xml) -> io::Result<()> {
+    fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
         let following = |xml: &mut Xml| {
-            within(xml, "TimeReference", &[], |xml| {
-                leaf(xml, "Timing", &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")])
+            write_element(xml, "TimeReference", &[], |xml| {
+                write_empty_element(xml, "Timing", &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")])
             })?;
-            leaf(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
+            write_empty_element(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
         };
-        let name = format!("{}_path", super::entity(self.index));
-        within(xml, "RoutingAction", &[], |xml| {
-            within(xml, "FollowTrajectoryAction", &[], |xml| {
-                within(xml, "TrajectoryRef", &[], |xml| {
-                    within(xml, "Trajectory", &[("name", &name), ("closed", "false")], |xml| {
-                        within(xml, "Shape", &[], |xml| within(xml, "Polyline", &[], |xml| self.write_vertices(xml)))
+        let name = format!("{}_path", super::entity_name(self.index));
+        write_element(xml, "RoutingAction", &[], |xml| {
+            write_element(xml, "FollowTrajectoryAction", &[], |xml| {
+                write_element(xml, "TrajectoryRef", &[], |xml| {
+                    write_element(xml, "Trajectory", &[("name", &name), ("closed", "false")], |xml| {
+                        write_element(xml, "Shape", &[], |xml| write_element(xml, "Polyline", &[], |xml| self.write_vertices(xml)))
                     })
                 })?;
                 following(xml)
@@ -112,11 +112,11 @@ impl Trajectory<'_> {
     fn write_vertices(&self, xml: &mut Xml) -> io::Result<()> {
         let Some(track) = self.trace.vehicles.get(self.index) else { return Ok(()) };
         let samples =
-            self.kept.iter().filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
+            self.vertex_indices.iter().filter_map(|&index| Some((*self.trace.time_s.get(index)?, *track.position_m.get(index)?)));
         let held = track.position_m.last().map(|&front_m| (self.end_s + HOLD_S, front_m));
         let mut lines = String::from("\n");
         for (time_s, front_m) in samples.chain(held) {
-            let (time, x) = (number(time_s), number(reference_m(front_m, track.length_m)));
+            let (time, x) = (format_number(time_s), format_number(reference_point_m(front_m, track.length_m)));
             let place = format!("<Position><WorldPosition x=\"{x}\" y=\"0\"/></Position>");
             lines += &format!("<Vertex time=\"{time}\">{place}</Vertex>\n");
         }

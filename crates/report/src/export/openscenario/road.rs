@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::{OpenScenarioError, Xml, document, leaf, number, text, within};
+use super::{OpenScenarioError, Xml, write_document, write_empty_element, format_number, attribute_text, write_element};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 
@@ -16,7 +16,7 @@ pub(super) fn road_for_trace(scenario: &Scenario, trace: &Trace) -> Result<Vec<u
     let tracks = || trace.vehicles.iter();
     let rears_m = tracks().filter_map(|track| Some(track.position_m.first()? - track.length_m));
     let fronts_m = tracks().filter_map(|track| track.position_m.last().copied());
-    straight(scenario, rears_m, fronts_m)
+    straight_road(scenario, rears_m, fronts_m)
 }
 
 /// A road that is long enough for whoever drives twice as fast all the time as anybody starts or a script says, and as 30 m/s.
@@ -25,7 +25,7 @@ pub(super) fn road_for_scenario(scenario: &Scenario, scripts_mps: f64) -> Result
     let vehicles = || scenario.vehicles().iter();
     let fastest_mps = vehicles().map(|vehicle| vehicle.speed_mps).fold(scripts_mps.max(30.0), f64::max);
     let fronts_m = vehicles().map(|vehicle| vehicle.position_m + 2.0 * fastest_mps * duration_s);
-    straight(scenario, vehicles().map(|vehicle| vehicle.position_m - vehicle.length_m()), fronts_m)
+    straight_road(scenario, vehicles().map(|vehicle| vehicle.position_m - vehicle.length_m()), fronts_m)
 }
 
 fn straight_road(
@@ -36,26 +36,26 @@ fn straight_road(
     let (from_m, to_m) = (rears_m.fold(f64::INFINITY, f64::min), fronts_m.fold(f64::NEG_INFINITY, f64::max));
     let (from_m, to_m) = if from_m <= to_m { (from_m, to_m) } else { (0.0, 0.0) };
     let from_m = (from_m - MARGIN_M).floor();
-    let length = number((to_m + MARGIN_M).ceil() - from_m);
-    Ok(document(|xml| write(xml, &text(&scenario.spec().name), from_m, &length))?)
+    let length = format_number((to_m + MARGIN_M).ceil() - from_m);
+    Ok(write_document(|xml| write_road(xml, &attribute_text(&scenario.spec().name), from_m, &length))?)
 }
 
 fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()> {
-    within(xml, "OpenDRIVE", &[], |xml| {
-        leaf(xml, "header", &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")])?;
+    write_element(xml, "OpenDRIVE", &[], |xml| {
+        write_empty_element(xml, "header", &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")])?;
         // An identity that is a number: tools want one.
-        within(
+        write_element(
             xml,
             "road",
             &[("name", "road"), ("length", length), ("id", "1"), ("junction", "-1"), ("rule", "RHT")],
             |xml| {
-                within(xml, "planView", &[], |xml| {
+                write_element(xml, "planView", &[], |xml| {
                     // The right-hand lane hangs below the reference line, so that y = 0 is its middle.
-                    let (x, y) = (number(from_m), number(LANE_WIDTH_M / 2.0));
+                    let (x, y) = (format_number(from_m), format_number(LANE_WIDTH_M / 2.0));
                     let start = [("s", "0"), ("x", &x), ("y", &y), ("hdg", "0"), ("length", length)];
-                    within(xml, "geometry", &start, |xml| leaf(xml, "line", &[]))
+                    write_element(xml, "geometry", &start, |xml| write_empty_element(xml, "line", &[]))
                 })?;
-                within(xml, "lanes", &[], |xml| within(xml, "laneSection", &[("s", "0")], lanes))
+                write_element(xml, "lanes", &[], |xml| write_element(xml, "laneSection", &[("s", "0")], write_lanes))
             },
         )
     })
@@ -66,16 +66,16 @@ fn write_lanes(xml: &mut Xml) -> io::Result<()> {
         move |xml: &mut Xml| {
             let solid =
                 [("sOffset", "0"), ("type", kind), ("weight", "standard"), ("color", "standard"), ("width", "0.15")];
-            leaf(xml, "roadMark", &solid)
+            write_empty_element(xml, "roadMark", &solid)
         }
     };
-    within(xml, "center", &[], |xml| {
-        within(xml, "lane", &[("id", "0"), ("type", "none"), ("level", "false")], mark("solid"))
+    write_element(xml, "center", &[], |xml| {
+        write_element(xml, "lane", &[("id", "0"), ("type", "none"), ("level", "false")], mark("solid"))
     })?;
-    within(xml, "right", &[], |xml| {
-        within(xml, "lane", &[("id", "-1"), ("type", "driving"), ("level", "false")], |xml| {
-            let width = number(LANE_WIDTH_M);
-            leaf(xml, "width", &[("sOffset", "0"), ("a", &width), ("b", "0"), ("c", "0"), ("d", "0")])?;
+    write_element(xml, "right", &[], |xml| {
+        write_element(xml, "lane", &[("id", "-1"), ("type", "driving"), ("level", "false")], |xml| {
+            let width = format_number(LANE_WIDTH_M);
+            write_empty_element(xml, "width", &[("sOffset", "0"), ("a", &width), ("b", "0"), ("c", "0"), ("d", "0")])?;
             mark("solid")(xml)
         })
     })

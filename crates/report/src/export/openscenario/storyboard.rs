@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::{Xml, described, entities, entity, leaf, number, reference_m, within};
+use super::{Xml, describe_scenario, entities, entity_name, write_empty_element, format_number, reference_point_m, write_element};
 use crumple_world::scenario::Scenario;
 
 /// The file that moves are written into.
@@ -30,48 +30,48 @@ pub(super) trait VehicleManeuver {
 
 impl OpenScenarioFile<'_> {
     pub(super) fn write(&self, xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
-        within(xml, "OpenSCENARIO", &[], |xml| {
-            let description = described(self.scenario, self.about);
+        write_element(xml, "OpenSCENARIO", &[], |xml| {
+            let description = describe_scenario(self.scenario, self.about);
             // No clock: the same scenario makes the same file.
             let made = [("author", "crumple"), ("date", "1970-01-01T00:00:00"), ("description", &description)];
-            leaf(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
-            leaf(xml, "ParameterDeclarations", &[])?;
-            leaf(xml, "CatalogLocations", &[])?;
-            within(xml, "RoadNetwork", &[], |xml| leaf(xml, "LogicFile", &[("filepath", self.road)]))?;
-            entities::write(xml, self.scenario, self.leaves_drivers)?;
-            within(xml, "Storyboard", &[], |xml| {
-                within(xml, "Init", &[], |xml| within(xml, "Actions", &[], |xml| self.write_init(xml)))?;
+            write_empty_element(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
+            write_empty_element(xml, "ParameterDeclarations", &[])?;
+            write_empty_element(xml, "CatalogLocations", &[])?;
+            write_element(xml, "RoadNetwork", &[], |xml| write_empty_element(xml, "LogicFile", &[("filepath", self.road)]))?;
+            entities::write_entities(xml, self.scenario, self.uses_controllers)?;
+            write_element(xml, "Storyboard", &[], |xml| {
+                write_element(xml, "Init", &[], |xml| write_element(xml, "Actions", &[], |xml| self.write_init(xml)))?;
                 write_story(xml, moves)?;
-                within(xml, "StopTrigger", &[], |xml| at(xml, "over", "greaterThan", self.end_s))
+                write_element(xml, "StopTrigger", &[], |xml| write_time_trigger(xml, "over", "greaterThan", self.end_s))
             })
         })
     }
 
     fn write_init(&self, xml: &mut Xml) -> io::Result<()> {
-        let friction = number(self.scenario.spec().environment.friction);
-        within(xml, "GlobalAction", &[], |xml| {
-            within(xml, "EnvironmentAction", &[], |xml| {
-                within(xml, "Environment", &[("name", "road")], |xml| {
-                    leaf(xml, "RoadCondition", &[("frictionScaleFactor", &friction)])
+        let friction = format_number(self.scenario.spec().environment.friction);
+        write_element(xml, "GlobalAction", &[], |xml| {
+            write_element(xml, "EnvironmentAction", &[], |xml| {
+                write_element(xml, "Environment", &[("name", "road")], |xml| {
+                    write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)])
                 })
             })
         })?;
         for (index, vehicle) in self.scenario.vehicles().iter().enumerate() {
-            within(xml, "Private", &[("entityRef", &entity(index))], |xml| {
-                within(xml, "PrivateAction", &[], |xml| {
-                    within(xml, "TeleportAction", &[], |xml| {
-                        position(xml, reference_m(vehicle.position_m, vehicle.length_m()))
+            write_element(xml, "Private", &[("entityRef", &entity_name(index))], |xml| {
+                write_element(xml, "PrivateAction", &[], |xml| {
+                    write_element(xml, "TeleportAction", &[], |xml| {
+                        write_position(xml, reference_point_m(vehicle.position_m, vehicle.length_m()))
                     })
                 })?;
-                within(xml, "PrivateAction", &[], |xml| {
-                    within(xml, "LongitudinalAction", &[], |xml| speed(xml, ("step", "time", 0.0), vehicle.speed_mps))
+                write_element(xml, "PrivateAction", &[], |xml| {
+                    write_element(xml, "LongitudinalAction", &[], |xml| write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps))
                 })?;
-                if !self.leaves_drivers || entities::controller(vehicle).is_none() {
+                if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
                     return Ok(());
                 }
-                within(xml, "PrivateAction", &[], |xml| {
-                    within(xml, "ControllerAction", &[], |xml| {
-                        leaf(xml, "ActivateControllerAction", &[("longitudinal", "true"), ("lateral", "true")])
+                write_element(xml, "PrivateAction", &[], |xml| {
+                    write_element(xml, "ControllerAction", &[], |xml| {
+                        write_empty_element(xml, "ActivateControllerAction", &[("longitudinal", "true"), ("lateral", "true")])
                     })
                 })
             })?;
@@ -81,40 +81,40 @@ impl OpenScenarioFile<'_> {
 }
 
 fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> {
-    let moving = || moves.iter().filter_map(|one| Some((one, one.starts()?)));
+    let moving = || moves.iter().filter_map(|one| Some((one, one.start_event()?)));
     if moving().next().is_none() {
         return Ok(());
     }
-    within(xml, "Story", &[("name", "story")], |xml| {
-        within(xml, "Act", &[("name", "act")], |xml| {
+    write_element(xml, "Story", &[("name", "story")], |xml| {
+        write_element(xml, "Act", &[("name", "act")], |xml| {
             for (one, (name, from_s)) in moving() {
-                let entity = entity(one.index());
+                let entity = entity_name(one.vehicle_index());
                 let named = |what: &str| format!("{entity}_{what}");
-                within(xml, "ManeuverGroup", &[("maximumExecutionCount", "1"), ("name", &named("group"))], |xml| {
-                    within(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
-                        leaf(xml, "EntityRef", &[("entityRef", &entity)])
+                write_element(xml, "ManeuverGroup", &[("maximumExecutionCount", "1"), ("name", &named("group"))], |xml| {
+                    write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
+                        write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
                     })?;
-                    within(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
-                        within(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
-                            within(xml, "Action", &[("name", &named(name))], |xml| {
-                                within(xml, "PrivateAction", &[], |xml| one.write(xml))
+                    write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
+                        write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
+                            write_element(xml, "Action", &[("name", &named(name))], |xml| {
+                                write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
                             })?;
-                            within(xml, "StartTrigger", &[], |xml| at(xml, &named("starts"), "greaterOrEqual", from_s))
+                            write_element(xml, "StartTrigger", &[], |xml| write_time_trigger(xml, &named("starts"), "greaterOrEqual", from_s))
                         })
                     })
                 })?;
             }
-            within(xml, "StartTrigger", &[], |xml| at(xml, "begin", "greaterOrEqual", 0.0))
+            write_element(xml, "StartTrigger", &[], |xml| write_time_trigger(xml, "begin", "greaterOrEqual", 0.0))
         })
     })
 }
 
 /// A trigger by time.
 fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
-    within(xml, "ConditionGroup", &[], |xml| {
-        within(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
-            within(xml, "ByValueCondition", &[], |xml| {
-                leaf(xml, "SimulationTimeCondition", &[("value", &number(time_s)), ("rule", rule)])
+    write_element(xml, "ConditionGroup", &[], |xml| {
+        write_element(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
+            write_element(xml, "ByValueCondition", &[], |xml| {
+                write_empty_element(xml, "SimulationTimeCondition", &[("value", &format_number(time_s)), ("rule", rule)])
             })
         })
     })
@@ -122,14 +122,14 @@ fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io:
 
 /// A place on the road.
 fn write_position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
-    within(xml, "Position", &[], |xml| leaf(xml, "WorldPosition", &[("x", &number(x_m)), ("y", "0")]))
+    write_element(xml, "Position", &[], |xml| write_empty_element(xml, "WorldPosition", &[("x", &format_number(x_m)), ("y", "0")]))
 }
 
 /// A speed to reach: how it changes, what the number says, and the number.
 pub(super) fn write_speed_action(xml: &mut Xml, (shape, dimension, value): (&str, &str, f64), target_mps: f64) -> io::Result<()> {
-    within(xml, "SpeedAction", &[], |xml| {
-        let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &number(value))];
-        leaf(xml, "SpeedActionDynamics", &dynamics)?;
-        within(xml, "SpeedActionTarget", &[], |xml| leaf(xml, "AbsoluteTargetSpeed", &[("value", &number(target_mps))]))
+    write_element(xml, "SpeedAction", &[], |xml| {
+        let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &format_number(value))];
+        write_empty_element(xml, "SpeedActionDynamics", &dynamics)?;
+        write_element(xml, "SpeedActionTarget", &[], |xml| write_empty_element(xml, "AbsoluteTargetSpeed", &[("value", &format_number(target_mps))]))
     })
 }
