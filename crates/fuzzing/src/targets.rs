@@ -14,7 +14,7 @@ use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{self, LeaderSelection, MinBrake, episodes};
+use crumple_world::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_world::scenario::file::{from_json, from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
@@ -231,7 +231,7 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
     for map in [None, tracks.as_ref().ok()] {
         let Ok(recording) = recording::read(bytes, Path::new("f.csv"), map) else { continue };
-        for (number, episode) in episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate() {
+        for (number, episode) in find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate() {
             let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
             let text = to_toml(&scenario).unwrap_or_default();
             let back = from_toml(&text, Path::new("f.toml"));

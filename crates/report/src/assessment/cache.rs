@@ -15,10 +15,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::figure_layout::slug;
+use super::plan::slug;
 use crumple_core::digest::sha256;
 use crumple_store::disk::{self, DiskError};
-use crumple_store::gather_context::FolderLock;
+use crumple_store::run_folder::FolderLock;
 
 /// A piece of evidence: its name, what it depends on, and what it says, as hashes.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -126,7 +126,7 @@ impl EvidenceCache {
     /// [`CacheError`] if the folder cannot be made, or is in use.
     pub fn open(folder: &Path, program: &str, fresh: bool) -> Result<Self, CacheError> {
         disk::make_folder(folder)?;
-        let lock = FolderLock::of(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
+        let lock = FolderLock::try_acquire(folder)?.ok_or_else(|| CacheError::InUse(folder.to_owned()))?;
         Ok(Self {
             folder: Some(folder.to_owned()),
             program: program.to_owned(),

@@ -11,7 +11,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::parts::scenario_path;
-use super::figure_layout::{NamedSpace, file_stem};
+use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
@@ -100,7 +100,7 @@ fn policy_path(policy: &Policy) -> String {
 impl NamedSpace {
     /// The space as a command names it.
     pub(super) fn to_arg(&self) -> String {
-        if self.is_built_in() { self.name.clone() } else { self.file() }
+        if self.is_built_in() { self.name.clone() } else { self.path() }
     }
 
     fn is_built_in(&self) -> bool {
@@ -147,18 +147,18 @@ impl AssessmentPlan {
             }
         }
         for own in self.distributions.iter().chain(&self.spaces).filter(|named| !named.is_built_in()) {
-            add(own.file(), own.text.clone().into_bytes());
+            add(own.path(), own.text.clone().into_bytes());
         }
         for given in &self.certificates {
             // A certificate may name any file: only one that lies beside it, and that it was made for, is put there.
-            if let (Some((file, digest)), Some(policy)) = (given.certificate.policy(), &given.policy)
+            if let (Some((file, digest)), Some(policy)) = (given.certificate.policy_reference(), &given.policy)
                 && sha256(policy) == digest
                 && Path::new(file).file_name() == Some(OsStr::new(file))
             {
                 add(format!("certificates/{file}"), policy.clone());
             }
         }
-        for (_, scenario) in &self.traffic {
+        for (_, scenario) in &self.file_scenarios {
             let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
             add(scenario_path(scenario), text.into_bytes());
         }

@@ -43,7 +43,7 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
             Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)),
         );
     }
-    if !plan.traffic.is_empty() {
+    if !plan.file_scenarios.is_empty() {
         add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(plan, work).map(drop)));
     }
     for named in &plan.spaces {
@@ -74,7 +74,7 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         add(searched.name(), Box::new(move |work| searched.gather(plan, work).map(drop)));
     }
     for planned in &plan.suites {
-        add(format!("suite {}", planned.known.name), Box::new(move |work| run_suite(plan, planned, work).map(drop)));
+        add(format!("suite {}", planned.content_id.name), Box::new(move |work| run_suite(plan, planned, work).map(drop)));
     }
     all.sort_by_cached_key(|piece| sha256(&piece.name));
     Ok(all)

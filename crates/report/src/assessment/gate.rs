@@ -285,7 +285,7 @@ fn check_no_collision_in_space(plan: &AssessmentPlan, found: &AssessmentReport, 
         Some(SpaceTally {
             scenarios: drawn.draws,
             collisions: of_controller.collisions,
-            unanswered: of_controller.silent(),
+            unanswered: of_controller.unanswered_runs(),
             cut_short: of_controller.cut_short,
         })
     });
@@ -315,12 +315,12 @@ fn check_rate_at_most(
 ) -> (bool, String) {
     let named = space_index(plan, space).and_then(|place| plan.distributions.get(place));
     let place = plan.controllers.iter().position(|one| one.name == controller);
-    let subject = place.and_then(|place| plan.claimant(place, plan.config.estimator));
+    let subject = place.and_then(|place| plan.claim_subject(place, plan.config.estimator));
     let (Some(named), Some(subject)) = (named, subject) else { return (false, "no draws were made".to_owned()) };
     // What is asked for is never rounded in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
     let standing =
-        found.evidence.claim_status(&AssuranceClaim { subject, property, domain: Domain::Space { space: named.known.clone() } });
+        found.evidence.claim_status(&AssuranceClaim { subject, property, domain: Domain::Space { space: named.content_id.clone() } });
     (matches!(standing.strength, Strength::Bounded { .. }), standing.describe())
 }
 
@@ -408,15 +408,15 @@ fn suite_problem(config: &AssessConfig, controller: &String, suite: &str) -> Opt
 
 /// What cannot be run does not count; but something has to.
 fn check_suite_passed(plan: &AssessmentPlan, found: &AssessmentReport, controller: &str, suite: &str) -> (bool, String) {
-    let place = plan.suites.iter().position(|planned| planned.named == suite);
+    let place = plan.suites.iter().position(|planned| planned.config_name == suite);
     let of_controller = place.zip(found.suites.as_ref());
-    let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.of(*place, controller)).collect();
+    let outcomes: Vec<_> = of_controller.iter().flat_map(|(place, suites)| suites.controller_outcomes(*place, controller)).collect();
     let run: Vec<_> = outcomes.iter().filter(|(_, outcome)| outcome.points > 0).collect();
     let missed: Vec<_> =
         run.iter().filter(|(_, outcome)| outcome.passed != Some(true)).map(|(test, _)| test.test.as_str()).collect();
     let (mut silent, mut runs) = (None, 0);
     for (_, outcome) in &run {
-        FailedControllerRuns::merge(&mut silent, outcome.silent());
+        FailedControllerRuns::merge(&mut silent, outcome.total_unanswered());
         runs += outcome.runs;
     }
     let silent = silent.map_or(String::new(), |silent| format!("; it {}", silent.describe(runs)));

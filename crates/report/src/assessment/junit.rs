@@ -18,7 +18,7 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     }
     let suites = assessment.suites.iter().flat_map(|suites| suites.suites.iter().enumerate());
     let suites = suites.map(|(place, found)| suite_tests(assessment, place, found));
-    junit::render_junit("crumple assess", &[gates].into_iter().chain(suites).collect::<Vec<_>>())
+    junit::render_xml("crumple assess", &[gates].into_iter().chain(suites).collect::<Vec<_>>())
 }
 
 /// Lists the tests of a suite. A failed test is a failure if a gate requires the suite, and is skipped with its result otherwise.

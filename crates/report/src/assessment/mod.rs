@@ -15,7 +15,7 @@ mod junit;
 mod page;
 mod parts;
 mod evidence_tasks;
-mod figure_layout;
+mod plan;
 mod planned_suite;
 mod prose;
 mod rounded;
@@ -49,7 +49,7 @@ pub use parts::{
     ScenarioCases, FailureSearch, FailureSearches, SpaceDescription, SpaceSearches, CertificateSubject, SuiteFailure, SuiteFindings,
     SuiteOutcome, SuiteTest, Suites, ClaimSummary, FileScenarios, UnknownCell, ControllerUsefulness, UsefulnessReport, WorstProfile, WorstProfiles,
 };
-pub use figure_layout::AssessmentPlan;
+pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
 pub use shard::{EvidenceShardError, MergedEvidence, ASSESSMENT_SHARD_KIND, gather_shard};
@@ -59,7 +59,7 @@ use crumple_core::observer::{ProgressCounter, Observer, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_search::worst_case::AttackError;
-use crumple_store::gather_context::{MANIFEST, manifest_of};
+use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
@@ -273,7 +273,7 @@ pub fn assess(
     };
     assessment.comparison = against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
     // Gates come last: they judge everything else.
-    let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.judge(plan, &assessment)).collect();
+    let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.evaluate(plan, &assessment)).collect();
     assessment.first_page.gates.clone_from(&gates);
     assessment.summary.gates = gates;
     Ok(assessment)
@@ -284,9 +284,9 @@ impl AssessmentPlan {
     #[must_use]
     pub fn runs(&self) -> u64 {
         let controllers = self.controllers.len() as u64;
-        let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.traffic.len()) as u64;
+        let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.file_scenarios.len()) as u64;
         // A search has a method and two reference searches.
-        let searched_by = 1 + self.config.search.rules.len() as u64;
+        let searched_by = 1 + self.config.search.specifications.len() as u64;
         let searches = 3 * self.spaces.len() as u64 * self.config.search.budget * searched_by;
         let each = scenarios + self.config.draws * self.distributions.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
@@ -385,8 +385,8 @@ impl AssessmentReport {
         // Runs for other simulators are made of the counterexamples, and may be left out where a report is kept.
         let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
         let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
-        let manifest = manifest_of(REPORT_KIND, &self.provenance.config_sha256, contents)?;
-        all.push((MANIFEST.to_owned(), manifest.into_bytes()));
+        let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
+        all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
         Ok(all)
     }
 

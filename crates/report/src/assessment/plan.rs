@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use crumple_verify::Certificate;
 use serde_json::{Value, json};
 
-use super::claims::{Known, Subject};
-use super::config::{AssessConfig, CONFIG_VERSION, ConfigError};
-use super::gate::Gate;
+use super::claims::{ContentId, Subject};
+use super::config::{AssessConfig, CONFIG_VERSION, AssessConfigError};
+use super::gate::AssessmentGate;
 use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
@@ -17,10 +17,10 @@ use crumple_world::measure::Specification;
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::recording::{Dropped, ImportOptions, ImportResult, ImportedScenario, import};
+use crumple_world::recording::{DroppedItem, ImportOptions, ImportResult, ImportedScenario, import};
 use crumple_world::scenario::file;
-use crumple_world::scenario::space::{Space, built_in_space, file as space_file};
-use crumple_world::scenario::{Scenario, built_in_names};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
+use crumple_world::scenario::{Scenario, built_in_scenario_names};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Most draws a configuration may ask for.
@@ -39,7 +39,7 @@ pub struct AssessmentPlan {
     /// Scenarios from files, in order of their paths, with the path as the configuration reaches it.
     pub(super) file_scenarios: Vec<(PathBuf, Scenario)>,
     /// What of recordings is no scenario.
-    pub(super) left_out: Vec<Dropped>,
+    pub(super) left_out: Vec<DroppedItem>,
     pub(super) suites: Vec<PlannedSuite>,
     /// By whose law failures are counted, with the name in the configuration.
     pub(super) distributions: Vec<NamedSpace>,
@@ -53,16 +53,16 @@ pub struct AssessmentPlan {
 pub(super) struct NamedSpace {
     /// The name in the configuration.
     pub(super) name: String,
-    pub(super) space: Space,
+    pub(super) space: ScenarioSpace,
     /// The space as a file, and its hash under its own name.
     pub(super) text: String,
-    pub(super) content_id: Known,
+    pub(super) content_id: ContentId,
 }
 
 impl NamedSpace {
-    fn new(name: &str, space: Space) -> Result<Self, toml::ser::Error> {
+    fn new(name: &str, space: ScenarioSpace) -> Result<Self, toml::ser::Error> {
         let text = space_file::to_toml(&space)?;
-        Ok(Self { name: name.to_owned(), known: Known::of(space.name(), &text), space, text })
+        Ok(Self { name: name.to_owned(), content_id: ContentId::new(space.name(), &text), space, text })
     }
 
     /// Whether two successive vehicles of its scenarios are both not under test.
@@ -101,10 +101,10 @@ impl AssessmentPlan {
         let known = |names: &[String]| {
             names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
         };
-        let (distributions, spaces) = (known(&config.distributions()), known(&config.searched()));
-        let (subject, certificates) = (subject(&controllers), shipped(&controllers));
+        let (distributions, spaces) = (known(&config.distributions()), known(&config.search_spaces()));
+        let (subject, certificates) = (default_subject(&controllers), shipped_certificates(&controllers));
         let (traffic, left_out, suites) = (Vec::new(), Vec::new(), Vec::new());
-        Self { subject, config, controllers, traffic, left_out, suites, distributions, spaces, certificates }
+        Self { subject_index: subject, config, controllers, file_scenarios: traffic, left_out, suites, distributions, spaces, certificates }
     }
 
     /// An assessment of controllers of one's own, beside those that the configuration names. The argument is about the
@@ -116,40 +116,40 @@ impl AssessmentPlan {
         mut config: AssessConfig,
         own: impl IntoIterator<Item = NamedController>,
         folder: &Path,
-    ) -> Result<Self, ConfigError> {
+    ) -> Result<Self, AssessConfigError> {
         let loading = PlanLoader { path: Path::new("configuration"), text: "", folder };
-        let mut controllers = loading.controllers(&config)?;
+        let mut controllers = loading.load_controllers(&config)?;
         let first_own = controllers.len();
         for controller in own {
-            loading.add(&mut controllers, "controllers", controller)?;
+            loading.add_controller(&mut controllers, "controllers", controller)?;
         }
         config.controllers = controllers.iter().map(|controller| controller.name.clone()).collect();
         config.subject = config.subject.or_else(|| Some(controllers.get(first_own)?.name.clone()));
-        loading.plan(config, controllers)
+        loading.build_plan(config, controllers)
     }
 
     /// Reads a configuration file and everything it names.
     ///
     /// # Errors
     /// [`ConfigError`] for a file that cannot be read, parsed or accepted.
-    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+    pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
         let config: AssessConfig = file::parse_toml(&text, path)?;
         let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
-        let controllers = loading.controllers(&config)?;
-        loading.plan(config, controllers)
+        let controllers = loading.load_controllers(&config)?;
+        loading.build_plan(config, controllers)
     }
 
     /// Returns warnings about rules that are judged at the first instant only.
     pub fn warnings(&self) -> impl Iterator<Item = String> {
-        let formulas = self.config.search.rules.iter().filter_map(|rule| rule.parse::<Formula>().ok());
+        let formulas = self.config.search.specifications.iter().filter_map(|rule| rule.parse::<Formula>().ok());
         formulas.filter_map(|formula| Some(format!("search.rules: {}", formula.warning()?)))
     }
 
     /// Whether a gate needs an earlier assessment to compare with.
     #[must_use]
     pub fn needs_earlier_assessment(&self) -> bool {
-        self.config.gates.iter().any(|gate| matches!(gate, Gate::NothingWorse {}))
+        self.config.gates.iter().any(|gate| matches!(gate, AssessmentGate::NothingWorse {}))
     }
 
     /// Who claims about the controller at that place are about. One without identity is nobody else's equal.
@@ -157,17 +157,17 @@ impl AssessmentPlan {
         let controller = self.controllers.get(index)?;
         let unknown = || sha256(format!("controller {index} of one report, {}", controller.name));
         let sha256 = controller.kind.identity().unwrap_or_else(unknown);
-        Some(Subject { controller: Known { name: controller.name.clone(), sha256 }, estimator })
+        Some(Subject { controller: ContentId { name: controller.name.clone(), sha256 }, estimator })
     }
 
     /// All of them, through the estimator of the assessment.
     pub(super) fn claim_subjects(&self) -> Vec<Subject> {
-        (0..self.controllers.len()).filter_map(|index| self.claimant(index, self.config.estimator)).collect()
+        (0..self.controllers.len()).filter_map(|index| self.claim_subject(index, self.config.estimator)).collect()
     }
 
     /// The controller that the argument is about.
     pub(super) fn subject(&self) -> Option<&NamedController> {
-        self.controllers.get(self.subject)
+        self.controllers.get(self.subject_index)
     }
 
     /// Everything about the controllers that evidence depends on: their names, and what their policies are.
@@ -232,7 +232,7 @@ fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate
         let policy = Some(Policy::reference_bytes().to_vec());
         Some(GivenCertificate { name: (*name).to_owned(), certificate: Certificate::from_json(text).ok()?, policy })
     };
-    SHIPPED.iter().filter_map(given).collect()
+    SHIPPED_CERTIFICATES.iter().filter_map(given).collect()
 }
 
 fn not_among_controllers(name: &str) -> String {
@@ -247,8 +247,8 @@ struct PlanLoader<'a> {
 }
 
 impl PlanLoader<'_> {
-    fn field_error(&self, field: &str, problem: String) -> ConfigError {
-        ConfigError::Field {
+    fn field_error(&self, field: &str, problem: String) -> AssessConfigError {
+        AssessConfigError::Field {
             path: self.path.to_owned(),
             line: file::line_in_toml(self.text, field),
             field: field.to_owned(),
@@ -257,7 +257,7 @@ impl PlanLoader<'_> {
     }
 
     /// The plan of a configuration with these controllers.
-    fn build_plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, ConfigError> {
+    fn build_plan(&self, mut config: AssessConfig, controllers: Vec<NamedController>) -> Result<AssessmentPlan, AssessConfigError> {
         self.check_numbers(&config)?;
         // However a controller is spelled, it goes by one name.
         let place_of = |name: &mut String| {
@@ -267,39 +267,39 @@ impl PlanLoader<'_> {
             controllers.iter().position(|controller| controller.name == *name)
         };
         let subject = match &mut config.subject {
-            None => subject(&controllers),
-            Some(name) => place_of(name).ok_or_else(|| self.wrong("subject", not_among_controllers(name)))?,
+            None => default_subject(&controllers),
+            Some(name) => place_of(name).ok_or_else(|| self.field_error("subject", not_among_controllers(name)))?,
         };
-        let suites = PlannedSuite::all(&mut config, self.folder, &controllers, place_of)
-            .map_err(|(field, problem)| self.wrong(&field, problem))?;
+        let suites = PlannedSuite::from_config(&mut config, self.folder, &controllers, place_of)
+            .map_err(|(field, problem)| self.field_error(&field, problem))?;
         for (index, gate) in config.gates.iter_mut().enumerate() {
             for (field, name) in gate.controllers_mut() {
-                place_of(name).ok_or_else(|| self.wrong(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
+                place_of(name).ok_or_else(|| self.field_error(&format!("gates[{index}].{field}"), not_among_controllers(name)))?;
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, problem)) = gate.problem(&config) {
-                return Err(self.wrong(&format!("gates[{index}].{field}"), problem));
+            if let Some((field, problem)) = gate.config_problem(&config) {
+                return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
             }
         }
-        let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.recorded(&config)?;
-        let traffic = self.traffic(&config, recorded)?;
-        let spaces = self.spaces("search.spaces", &config.searched())?;
-        let distributions = self.spaces("distributions", &config.distributions())?;
-        self.normalize_specifications(&mut config.search.rules, &spaces)?;
+        let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.import_recordings(&config)?;
+        let traffic = self.load_scenarios(&config, recorded)?;
+        let spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
+        let distributions = self.load_spaces("distributions", &config.distributions())?;
+        self.normalize_specifications(&mut config.search.specifications, &spaces)?;
         let clash = distributions
             .iter()
-            .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.known != other.known));
+            .find(|one| spaces.iter().any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id));
         if let Some(one) = clash {
             let problem = format!("the name `{}` is that of another space in `search.spaces`", one.space.name());
-            return Err(self.wrong("distributions", problem));
+            return Err(self.field_error("distributions", problem));
         }
         let given = config.certificates.clone();
         let mut plan = AssessmentPlan {
             config,
             controllers,
-            subject,
-            traffic,
+            subject_index: subject,
+            file_scenarios: traffic,
             left_out,
             suites,
             distributions,
@@ -307,18 +307,18 @@ impl PlanLoader<'_> {
             certificates: Vec::new(),
         };
         plan.certificates = match given {
-            None if plan.config.paper => shipped(&plan.controllers),
+            None if plan.config.paper => shipped_certificates(&plan.controllers),
             None => Vec::new(),
-            Some(paths) => self.certificates(&paths, &parts::made_here(&plan))?,
+            Some(paths) => self.load_certificates(&paths, &parts::generated_certificate_names(&plan))?,
         };
         Ok(plan)
     }
 
     /// Checks that every rule fits every space that is searched, and writes each as it was read: a formula with all its parentheses.
-    fn normalize_specifications(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), ConfigError> {
+    fn normalize_specifications(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), AssessConfigError> {
         let mut earlier: Vec<String> = Vec::new();
         for (index, rule) in rules.iter_mut().enumerate() {
-            let wrong = |problem: String| self.wrong(&format!("search.rules[{index}]"), problem);
+            let wrong = |problem: String| self.field_error(&format!("search.rules[{index}]"), problem);
             if rule == Specification::NO_CONTACT {
                 return Err(wrong("contacts are searched for anyway".to_owned()));
             }
@@ -341,55 +341,55 @@ impl PlanLoader<'_> {
         controllers: &mut Vec<NamedController>,
         field: &str,
         controller: NamedController,
-    ) -> Result<(), ConfigError> {
+    ) -> Result<(), AssessConfigError> {
         if controllers.iter().any(|known| known.name == controller.name) {
-            return Err(self.wrong(field, format!("`{}` is named twice", controller.name)));
+            return Err(self.field_error(field, format!("`{}` is named twice", controller.name)));
         }
         controllers.push(controller);
         Ok(())
     }
 
-    fn check_numbers(&self, config: &AssessConfig) -> Result<(), ConfigError> {
+    fn check_numbers(&self, config: &AssessConfig) -> Result<(), AssessConfigError> {
         if config.version != CONFIG_VERSION {
             let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
-            return Err(self.wrong("version", problem));
+            return Err(self.field_error("version", problem));
         }
         for (field, draws) in [("draws", config.draws), ("everyday_draws", config.everyday_draws)] {
-            if draws > MOST_DRAWS {
-                return Err(self.wrong(field, format!("must be at most {MOST_DRAWS}, found {draws}")));
+            if draws > MAX_DRAWS {
+                return Err(self.field_error(field, format!("must be at most {MAX_DRAWS}, found {draws}")));
             }
         }
         let (budget, runs) = (config.search.budget, config.rates.runs);
         if !(1..=MAX_EVALUATIONS).contains(&budget) {
-            return Err(self.wrong("search.budget", format!("must be from 1 to {MOST_EVALUATIONS}, found {budget}")));
+            return Err(self.field_error("search.budget", format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}")));
         }
-        if runs > MOST_DRAWS {
-            return Err(self.wrong("rates.runs", format!("must be at most {MOST_DRAWS}, found {runs}")));
+        if runs > MAX_DRAWS {
+            return Err(self.field_error("rates.runs", format!("must be at most {MAX_DRAWS}, found {runs}")));
         }
         let confidence = config.rates.confidence;
         if !(confidence > 0.5 && confidence < 1.0) {
-            return Err(self.wrong("rates.confidence", format!("must be between 0.5 and 1, found {confidence}")));
+            return Err(self.field_error("rates.confidence", format!("must be between 0.5 and 1, found {confidence}")));
         }
         Ok(())
     }
 
-    fn load_controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, ConfigError> {
+    fn load_controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, AssessConfigError> {
         if config.controllers.is_empty() {
-            return Err(self.wrong("controllers", "must name at least one controller".to_owned()));
+            return Err(self.field_error("controllers", "must name at least one controller".to_owned()));
         }
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
             let controller = NamedController::find_and_try(name, self.folder)
-                .map_err(|error| self.wrong(&field, error.to_string()))?;
-            self.add(&mut controllers, &field, controller)?;
+                .map_err(|error| self.field_error(&field, error.to_string()))?;
+            self.add_controller(&mut controllers, &field, controller)?;
         }
         Ok(controllers)
     }
 
     /// What recordings hold.
-    fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, ConfigError> {
-        let wrong = |problem: String| self.wrong("recordings", problem);
+    fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, AssessConfigError> {
+        let wrong = |problem: String| self.field_error("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
         let imported = import(&paths, None, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
@@ -403,39 +403,39 @@ impl PlanLoader<'_> {
         &self,
         config: &AssessConfig,
         recorded: Vec<ImportedScenario>,
-    ) -> Result<Vec<(PathBuf, Scenario)>, ConfigError> {
+    ) -> Result<Vec<(PathBuf, Scenario)>, AssessConfigError> {
         let mut traffic = Vec::new();
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
             let at = self.folder.join(named);
             if !at.exists() {
-                return Err(self.wrong(&field, format!("there is no {}", at.display())));
+                return Err(self.field_error(&field, format!("there is no {}", at.display())));
             }
             let found = file::load_all(&at)?;
             if found.is_empty() {
                 let problem = format!("the folder {} holds no scenario file", named.display());
-                return Err(self.wrong(&field, problem));
+                return Err(self.field_error(&field, problem));
             }
             let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
             if let Some((path, _)) = untested {
-                return Err(self.wrong(&field, format!("{}: no vehicle is under test", path.display())));
+                return Err(self.field_error(&field, format!("{}: no vehicle is under test", path.display())));
             }
             traffic.extend(found);
         }
         traffic.extend(recorded.into_iter().map(|found| (PathBuf::from(found.file_name), found.scenario)));
-        let mut names: Vec<_> = built_in_names().iter().map(|(name, _)| (*name).to_owned()).collect();
+        let mut names: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| (*name).to_owned()).collect();
         for (found_at, scenario) in &traffic {
             let name = &scenario.spec().name;
             if names.contains(name) {
                 let problem = format!("{}: the name `{name}` is taken by another scenario", found_at.display());
-                return Err(self.wrong("scenarios", problem));
+                return Err(self.field_error("scenarios", problem));
             }
             names.push(name.clone());
         }
         Ok(traffic)
     }
 
-    fn load_spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, ConfigError> {
+    fn load_spaces(&self, list: &str, names: &[String]) -> Result<Vec<NamedSpace>, AssessConfigError> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
@@ -443,51 +443,51 @@ impl PlanLoader<'_> {
                 Some(space) => space,
                 None if name.ends_with(".toml") => {
                     let loaded = space_file::load(&self.folder.join(name));
-                    loaded.map_err(|error| self.wrong(&field, error.to_string()))?
+                    loaded.map_err(|error| self.field_error(&field, error.to_string()))?
                 }
                 None => {
                     let problem = format!("`{name}` is neither a built-in space nor a .toml file");
-                    return Err(self.wrong(&field, problem));
+                    return Err(self.field_error(&field, problem));
                 }
             };
             let nominal = space.scenario(&space.nominal());
             let nominal =
-                nominal.map_err(|error| self.wrong(&field, format!("{name}: its nominal scenario: {error}")))?;
+                nominal.map_err(|error| self.field_error(&field, format!("{name}: its nominal scenario: {error}")))?;
             if !nominal.has_vehicle_under_test() {
-                return Err(self.wrong(&field, format!("{name}: no vehicle is under test")));
+                return Err(self.field_error(&field, format!("{name}: no vehicle is under test")));
             }
             if spaces.iter().any(|known| known.space.name() == space.name()) {
-                return Err(self.wrong(&field, format!("the name `{}` is taken by another space", space.name())));
+                return Err(self.field_error(&field, format!("the name `{}` is taken by another space", space.name())));
             }
-            let named = NamedSpace::new(name, space).map_err(|error| self.wrong(&field, error.to_string()))?;
+            let named = NamedSpace::new(name, space).map_err(|error| self.field_error(&field, error.to_string()))?;
             let built_in = built_in_space(named.space.name()).and_then(|known| space_file::to_toml(&known).ok());
             if built_in.is_some_and(|built_in| built_in != named.text) {
                 let problem =
                     format!("the name `{}` is that of a built-in space with other contents", named.space.name());
-                return Err(self.wrong(&field, problem));
+                return Err(self.field_error(&field, problem));
             }
             spaces.push(named);
         }
         Ok(spaces)
     }
 
-    fn load_certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, ConfigError> {
+    fn load_certificates(&self, paths: &[PathBuf], made_here: &[String]) -> Result<Vec<GivenCertificate>, AssessConfigError> {
         let mut given: Vec<GivenCertificate> = Vec::new();
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
             let text =
-                fs::read_to_string(&at).map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
+                fs::read_to_string(&at).map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
             let certificate = Certificate::from_json(&text)
-                .map_err(|error| self.wrong(&field, format!("{}: {error}", at.display())))?;
+                .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
             if made_here.contains(&name) {
-                return Err(self.wrong(&field, format!("the name `{name}` is that of a certificate made here")));
+                return Err(self.field_error(&field, format!("the name `{name}` is that of a certificate made here")));
             }
             if given.iter().any(|known| known.name == name) {
-                return Err(self.wrong(&field, format!("the name `{name}` is taken by another certificate")));
+                return Err(self.field_error(&field, format!("the name `{name}` is taken by another certificate")));
             }
-            let policy = certificate.policy_bytes(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
+            let policy = certificate.read_policy(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
             given.push(GivenCertificate { name, certificate, policy });
         }
         Ok(given)

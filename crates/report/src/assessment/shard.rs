@@ -18,7 +18,7 @@ use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Observer, RunProgress};
 use crumple_store::disk::DiskError;
 use crumple_store::shard::{MergeError, Mergeable, MergedShards, MissingShards, ShardId, Sharded, TooManyShards, open_shard};
-use crumple_store::gather_context::{Finished, WorkError};
+use crumple_store::run_folder::{CompletedRun, RunFolderError};
 use crumple_world::scenario::file;
 
 /// What a folder of one is called in its `work.json`.
@@ -34,7 +34,7 @@ const CACHE_FOLDER: &str = "evidence";
 pub enum EvidenceShardError {
     /// The folder cannot be worked in, or something in it is damaged.
     #[error(transparent)]
-    Work(#[from] WorkError),
+    Work(#[from] RunFolderError),
     /// There are more shards than pieces of evidence.
     #[error(transparent)]
     Shards(#[from] TooManyShards),
@@ -139,7 +139,7 @@ pub fn gather_shard(
     // It may have ended before that.
     match fs::remove_dir_all(&under_way) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(WorkError::from(DiskError::at(&under_way)(error)).into())
+            Err(RunFolderError::from(DiskError::at(&under_way)(error)).into())
         }
         _ => Ok(own.len() as u64),
     }
@@ -154,7 +154,7 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read.
-    pub fn new(folder: &Path, found: &Finished) -> Result<Self, MergeError> {
+    pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         MergedShards::new(folder, found).map(Self)
     }
 
@@ -162,7 +162,7 @@ impl MergedEvidence {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read, or is not a shard of the same assessment.
-    pub fn add_shard(&mut self, folder: &Path, found: &Finished) -> Result<(), MergeError> {
+    pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
         self.0.add(folder, found)
     }
 
@@ -200,9 +200,9 @@ impl MergedEvidence {
 /// Of all that decides the evidence.
 fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
     let spaces: Vec<_> = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.as_str()).collect();
-    let traffic = plan.traffic.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
+    let traffic = plan.file_scenarios.iter().map(|(path, scenario)| Ok((path, file::to_toml(scenario)?)));
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(CacheError::encoding)?;
-    let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.known.sha256).collect();
+    let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.content_id.sha256).collect();
     Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
 }
 

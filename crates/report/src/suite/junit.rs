@@ -17,7 +17,7 @@ pub fn render_junit(result: &SuiteResult) -> String {
             cases: tests.collect(),
         }
     });
-    junit::render_junit("crumple suite", &suites.collect::<Vec<_>>())
+    junit::render_xml("crumple suite", &suites.collect::<Vec<_>>())
 }
 
 fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {

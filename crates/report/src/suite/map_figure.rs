@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::map::{LEGEND, panel_title, cell_letter};
 use crate::draw::{
     self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg,
-    grid_rects, description,
+    grid_rects, draw_text,
 };
 use crumple_suites::{Boundary, CrashMap, CrashMapAxis, MapPanel};
 
@@ -66,14 +66,14 @@ fn draw_panel(map: &CrashMap, shown: &MapPanel, frame: PixelRect) -> Panel {
     let axis = |of: &CrashMapAxis, title: &str| Axis::numeric(title, (of.low, of.high), 6);
     let mut panel = Panel::new(frame, &panel_title(shown), axis(&map.across, map.across.title), axis(&map.up, ""));
     let above = (frame.left - LEFT_MARGIN, frame.top - 8.0);
-    panel.add_overlay(words(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
+    panel.add_overlay(draw_text(above, Anchor::Start, map.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
     let (columns, rows) = (map.across.cells, map.up.cells);
     // Cells come row by row from the bottom, frames from the top.
     let from_top = shown.cells.chunks(columns.max(1)).rev().flatten().map(cell_letter);
     let cells: Vec<(char, PixelRect)> = from_top.zip(grid_rects(frame, columns, rows)).collect();
     for (kind, _) in LEGEND {
         let of_kind = cells.iter().filter(|(letter, _)| *letter == kind).map(|(_, frame)| *frame);
-        panel.add_clipped(simulate_failures::cells(cell_style(kind), of_kind));
+        panel.add_clipped(draw::draw_cells(cell_style(kind), of_kind));
     }
     for boundary in &map.boundaries {
         let points: Vec<(f64, f64)> = boundary.points.iter().map(|&[across, up]| (across, up)).collect();

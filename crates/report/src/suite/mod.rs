@@ -15,7 +15,7 @@ use crumple_suites::{FailedPoint, SuiteResult, TestResult, ControllerResult};
 pub use junit::render_junit;
 pub use map::{render_map_html, render_map_text};
 pub use map_figure::draw_map;
-pub use page::html;
+pub use page::render_html;
 pub use table::render_markdown_table;
 use description::describe_outcome;
 pub(crate) use description::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};

@@ -68,7 +68,7 @@ impl FirstPage {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
         let mut claims: Vec<(&str, &AssuranceClaim, &ClaimStatus)> = Vec::new();
         for row in &summary.claims {
-            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject), row.statuses.get(plan.subject))
+            if let (Some(Some(claim)), Some(standing)) = (row.claims.get(plan.subject_index), row.statuses.get(plan.subject_index))
             {
                 claims.push((&row.claim, claim, standing));
             }
@@ -94,7 +94,7 @@ impl FirstPage {
         .collect();
         let answer = SafetyAnswer::new(plan, &claims);
         let compared = match plan.controllers.first() {
-            Some(first) if plan.subject != 0 => format!(", and is it safer than `{}`", first.name),
+            Some(first) if plan.subject_index != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
         };
         let question =
@@ -118,7 +118,7 @@ impl FirstPage {
 
 /// Whether it is shown to fail less often than the first controller, in a sentence; nothing if that was not asked.
 fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> String {
-    let Some(first) = plan.controllers.first().filter(|_| plan.subject != 0) else { return String::new() };
+    let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else { return String::new() };
     let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
     let shown: Vec<_> =
         compared.filter(|(.., standing)| standing.strength.is_assurance()).map(|(_, claim, _)| claim).collect();

@@ -224,7 +224,7 @@ impl Argument {
             .claims
             .iter()
             .filter_map(|row| {
-                let (claim, standing) = (row.claims.get(plan.subject)?.as_ref()?, row.statuses.get(plan.subject)?);
+                let (claim, standing) = (row.claims.get(plan.subject_index)?.as_ref()?, row.statuses.get(plan.subject_index)?);
                 Some(Proposition { row, claim, status: standing })
             })
             .collect();

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::assessment::claims::{
     AssuranceClaim, Domain, Evidence, ContentId, MIN_CONFIDENCE_PERCENT, Property, EvidenceSource, Strength, Subject,
 };
-use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
 use crumple_core::digest::sha256;
@@ -361,7 +361,7 @@ fn certificate_subject(plan: &AssessmentPlan, name: &str, certificate: &Certific
             let digest = |one: &NamedController| Some(sha256(checker_file(&one.kind).ok()??));
             let is_it = |one: &NamedController| digest(one).as_deref() == Some(reach.policy_sha256.as_str());
             let place = plan.controllers.iter().position(is_it);
-            match place.and_then(|place| plan.claimant(place, EstimatorKind::Truth)) {
+            match place.and_then(|place| plan.claim_subject(place, EstimatorKind::Truth)) {
                 Some(subject) => CertificateSubject::Claim(Box::new(AssuranceClaim {
                     subject,
                     property: Property::NoContact,
@@ -397,7 +397,7 @@ fn initial_states_id(
     let is_inside = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
     let built_in = built_in_scenario_names().iter().filter_map(|(name, _)| built_in_scenario(name)).find(is_inside);
     let inside =
-        built_in.or_else(|| plan.traffic.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
+        built_in.or_else(|| plan.file_scenarios.iter().map(|(_, scenario)| scenario).find(|one| is_inside(one)).cloned());
     let around = match inside {
         Some(scenario) => format!("around `{}`", scenario.spec().name),
         None => format!("of certificate `{certificate_name}`"),
@@ -412,7 +412,7 @@ fn initial_states_id(
 /// The space that a registration names, if the report draws from it.
 fn find_space<'a>(plan: &'a AssessmentPlan, registration: &Registration) -> Option<&'a NamedSpace> {
     let sha256 = registration.configuration.get("space_sha256")?;
-    plan.distributions.iter().find(|named| named.known.sha256 == *sha256)
+    plan.distributions.iter().find(|named| named.content_id.sha256 == *sha256)
 }
 
 /// Whether vehicles that are not under test may touch in the runs of a rate: such a run counts as a failure there, and says
@@ -446,13 +446,13 @@ fn registered_subject(plan: &AssessmentPlan, registration: &Registration) -> Cer
         let counts = plan
             .controllers
             .get(place)
-            .is_some_and(|one| [one.failure(), "vehicles touch, or a controller fails"].contains(&of("failure")));
-        plan.claimant(place, estimator).filter(|_| counts)
+            .is_some_and(|one| [one.failure_description(), "vehicles touch, or a controller fails"].contains(&of("failure")));
+        plan.claim_subject(place, estimator).filter(|_| counts)
     };
     let Some(subject) = find("controller") else {
         return foreign(format!("its `{}` is none of the controllers here", of("controller")));
     };
-    let domain = Domain::Space { space: named.known.clone() };
+    let domain = Domain::Space { space: named.content_id.clone() };
     let property = match registration.configuration.get("against") {
         None => Property::FailureRate,
         Some(_) if named.can_others_collide() => {
@@ -477,7 +477,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
             proofs.iter().find(is_it)
         };
         let certificates: Option<Vec<&CheckedCertificate>> = kernels.iter().map(proved).collect();
-        if let (Some(certificates), Some(subject)) = (certificates, plan.claimant(place, plan.config.estimator))
+        if let (Some(certificates), Some(subject)) = (certificates, plan.claim_subject(place, plan.config.estimator))
             && let Some(first) = certificates.first()
         {
             let claim = AssuranceClaim { subject, property: Property::NoContactAhead, domain: kernel_domain(&kernels) };

@@ -1,7 +1,7 @@
 //! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
 
 use super::sampling::{SpaceSample, run_samples};
-use crate::assessment::figure_layout::NamedSpace;
+use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan};

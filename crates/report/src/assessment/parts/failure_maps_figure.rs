@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use super::{FailureMap, FailureMaps, FailureMapAxis, MapCell};
 use crate::draw::{
     self, Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Panel, SMALL_TEXT_SIZE, Stroke, Svg, Ticks,
-    grid_rects, format_number, description,
+    grid_rects, format_number, draw_text,
 };
 
 /// Width of the line around what is unavoidable.
@@ -37,7 +37,7 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
         let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
         let (x, y) = (parameter_axis(&maps.across, &maps.across.title), parameter_axis(&maps.up, ""));
         let mut panel = Panel::new(frame, &map.controller, x, y);
-        panel.add_overlay(format_case((left - LEFT_MARGIN, top - 8.0), Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
+        panel.add_overlay(draw_text((left - LEFT_MARGIN, top - 8.0), Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
         panel.add_overlay(draw_map_cells(map, frame));
         panel.draw(&Svg::id(prefix, &map.controller))
     };
@@ -69,7 +69,7 @@ fn draw_map_cells(map: &FailureMap, frame: PixelRect) -> Markup {
     let placed = || map.rows.iter().flat_map(|row| row.0.iter().copied()).zip(grid_rects(frame, columns, rows));
     html! {
         @for kind in MapCell::ALL {
-            (simulate_failures::draw_map_cells(cell_style(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
+            (draw::draw_cells(cell_style(kind), placed().filter(|(cell, _)| *cell == kind).map(|(_, frame)| frame)))
         }
         path d=(boundary_path(map, frame, (width, height))) fill="none" stroke=(Ink::Text.hex()) stroke-width=(BOUNDARY_WIDTH)
             stroke-linecap="square" {}

@@ -17,7 +17,7 @@ use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Pro
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
@@ -89,7 +89,7 @@ impl FailureSearches {
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
         let spaces = plan.spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
-            content_id: named.known.clone(),
+            content_id: named.content_id.clone(),
             about: named.space.spec().about.clone(),
             controllers: found.by_ref().take(plan.controllers.len()).collect(),
         });
@@ -119,7 +119,7 @@ impl FailureSearches {
         let all = self
             .spaces
             .iter()
-            .flat_map(|space| plan.claimants().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
+            .flat_map(|space| plan.claim_subjects().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
             let strength = match search.distinct_count() {
                 0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), search.conclusive_evaluations()),
@@ -201,7 +201,7 @@ impl FailureSearch {
         let item = format!("search {} in {}", controller.name, space.name());
         let inputs = json!([plan.identity(controller), named.text, campaign.budget, campaign.seed]);
         let (summary, texts) = run_campaign(&campaign, (&item, &inputs), MAX_SHOWN, work)?;
-        let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.slug(index));
+        let place = format!("counterexamples/{}/{}", file_stem(space.name()), plan.controller_slug(index));
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
         let replay = |file: &str| {
@@ -223,10 +223,10 @@ impl FailureSearch {
         let own: Vec<_> = summary.counterexamples.iter().filter(is_own).collect();
         let count = |class| own.iter().filter(|one| one.avoidability.class() == class).count();
         let [budget, seed] = [campaign.budget, campaign.seed].map(|number| number.to_string());
-        let out = format!("searches/{}/{}", file_stem(space.name()), plan.slug(index));
+        let out = format!("searches/{}/{}", file_stem(space.name()), plan.controller_slug(index));
         let command = word.as_deref().map(|word| {
             let what =
-                ["falsify", "--controller", word, "--space", &named.word(), "--budget", &budget, "--seed", &seed];
+                ["falsify", "--controller", word, "--space", &named.to_arg(), "--budget", &budget, "--seed", &seed];
             CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
         });
         let drawn = if is_drawn(plan, index, controller) { simulate_failures(plan, controller, &failures)? } else { Vec::new() };
@@ -403,7 +403,7 @@ pub(super) fn run_campaign(
 
 /// Those whose failures are drawn: the first controller and the learned ones.
 fn is_drawn(plan: &AssessmentPlan, index: usize, controller: &NamedController) -> bool {
-    index == 0 || index == plan.subject || controller.kind.is_learned()
+    index == 0 || index == plan.subject_index || controller.kind.is_learned()
 }
 
 fn simulate_failures(

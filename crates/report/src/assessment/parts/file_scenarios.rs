@@ -9,7 +9,7 @@ use crate::assessment::avoidance::{RoundedAvoidance, CertifiedAvoidance, REGRET_
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
 use crate::assessment::claims::{Domain, Evidence};
 use crate::assessment::document::ReportDocument;
-use crate::assessment::figure_layout::file_stem;
+use crate::assessment::plan::file_stem;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart};
@@ -37,11 +37,11 @@ pub struct FileScenarios {
 
 impl FileScenarios {
     pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
-        if plan.traffic.is_empty() {
+        if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
         let run = |indices: &[usize], motion: MotionRetention| -> Result<Vec<ScenarioCases>, RunError> {
-            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.traffic.get(index)).collect();
+            let chosen: Vec<_> = indices.iter().filter_map(|&index| plan.file_scenarios.get(index)).collect();
             let scenarios: Vec<_> = chosen.iter().map(|(_, scenario)| scenario).collect();
             let cases = run_cases(&scenarios, &plan.controllers, plan.config.estimator, motion)?;
             let named = chosen.iter().zip(cases).map(|((_, scenario), cases)| {
@@ -51,12 +51,12 @@ impl FileScenarios {
             });
             Ok(named.collect())
         };
-        let mut scenarios = run(&(0..plan.traffic.len()).collect::<Vec<_>>(), MotionRetention::Drop)?;
+        let mut scenarios = run(&(0..plan.file_scenarios.len()).collect::<Vec<_>>(), MotionRetention::Drop)?;
         // Motion is kept only where it is drawn: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
-        work.add_runs((plan.traffic.len() * plan.controllers.len()) as u64)?;
+        work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
         let best = |&index: &usize| {
-            plan.traffic.get(index).map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work)).transpose()
+            plan.file_scenarios.get(index).map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work)).transpose()
         };
         let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
         for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, MotionRetention::Keep)?).zip(bests) {

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::figure_layout::GivenCertificate;
+use crate::assessment::plan::GivenCertificate;
 use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_world::observation::EstimatorKind;
 

@@ -45,7 +45,7 @@ pub struct AssessmentProvenance {
 impl AssessmentProvenance {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, store: &EvidenceCache) -> Self {
         // `Debug` writes every field of both, and cannot fail as a serializer can.
-        let scenarios = plan.traffic.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
+        let scenarios = plan.file_scenarios.iter().map(|(_, scenario)| format!("{:?}", scenario.spec()));
         let spaces = plan.distributions.iter().chain(&plan.spaces).map(|named| named.text.clone());
         let config = std::iter::once(format!("{:?}", plan.config));
         let all = config.chain(scenarios).chain(spaces).collect::<Vec<_>>().join("\n");

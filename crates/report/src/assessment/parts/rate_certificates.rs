@@ -4,7 +4,7 @@ use crumple_verify::{Certificate, Registration, Statement};
 
 use super::certificates::{CheckedCertificate, CertificateStatus, rate_strength, includes_others, check_certificate};
 use crate::assessment::claims::Strength;
-use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, Rounded, CacheError};
 use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
@@ -33,12 +33,12 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     }
     let learned = plan.controllers.iter().enumerate().filter(|(_, controller)| controller.kind.is_learned());
     let mut wanted: Vec<(String, NamedController, Option<NamedController>)> =
-        learned.map(|(index, one)| (format!("rate-{}", plan.slug(index)), one.clone(), None)).collect();
+        learned.map(|(index, one)| (format!("rate-{}", plan.controller_slug(index)), one.clone(), None)).collect();
     if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
-        && plan.subject != 0
+        && plan.subject_index != 0
     {
         wanted.push((
-            format!("{}-against-{}", plan.slug(plan.subject), plan.slug(0)),
+            format!("{}-against-{}", plan.controller_slug(plan.subject_index), plan.controller_slug(0)),
             subject.clone(),
             Some(first.clone()),
         ));

@@ -7,7 +7,7 @@ use super::exposure::{rate_per_exposure, exposure_table};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Property, EvidenceSource, Strength};
 use crate::assessment::document::ReportDocument;
-use crate::assessment::figure_layout::NamedSpace;
+use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
@@ -182,8 +182,8 @@ impl SpaceSamples {
             let space = || drawn.space.clone();
             let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.draws };
             let source = || EvidenceSource::from_part(ANCHOR, format!("{} draws, seed {}", drawn.draws, drawn.seed));
-            let first = plan.claimant(0, plan.config.estimator).zip(drawn.controllers.first());
-            for (subject, sampled) in plan.claimants().into_iter().zip(&drawn.controllers) {
+            let first = plan.claim_subject(0, plan.config.estimator).zip(drawn.controllers.first());
+            for (subject, sampled) in plan.claim_subjects().into_iter().zip(&drawn.controllers) {
                 let mut add = |property, domain, strength| {
                     let claim = AssuranceClaim { subject: subject.clone(), property, domain };
                     all.push(Evidence { claim, strength, source: source() });
@@ -192,10 +192,10 @@ impl SpaceSamples {
                 let touching = Strength::from_counts_with_unanswered(sampled.collisions, telling, sampled.unanswered.as_ref(), true);
                 add(Property::NoContact, draws(), touching);
                 add(Property::OthersKeepClear, draws(), Strength::from_counts(sampled.cut_short, drawn.draws));
-                add(Property::FailureRate, Domain::Space { space: space() }, sampled.between(drawn));
+                add(Property::FailureRate, Domain::Space { space: space() }, sampled.rate_strength(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
                     let than = Property::FailsLessOften { than: first.controller.clone() };
-                    add(than, draws(), sampled.compared(of_first, drawn.draws));
+                    add(than, draws(), sampled.strength_against(of_first, drawn.draws));
                 }
             }
         }
@@ -240,7 +240,7 @@ impl SpaceSample {
         let controllers =
             plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
         Ok(Self {
-            space: named.known.clone(),
+            space: named.content_id.clone(),
             draws: config.draws,
             seed: config.seed,
             confidence: CONFIDENCE,

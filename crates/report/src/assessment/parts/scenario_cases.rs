@@ -10,7 +10,7 @@ use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Pro
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, RoundedAvoidance, CrumpleCommand};
-use crate::draw::{MotionFigure, Svg, animation, draw_motions_side_by_side, draw_motion_columns, draw_motion_responsive, vehicle_names};
+use crate::draw::{MotionFigure, Svg, draw_animation, draw_motions_side_by_side, draw_motion_columns, draw_motion_responsive, vehicle_names};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 
@@ -53,7 +53,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part:
         let strength = Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, silent.as_ref(), true);
         Evidence { claim, strength, source: EvidenceSource::from_part(part, format!("{} runs", counted.len())) }
     };
-    plan.claimants().into_iter().enumerate().map(of).collect()
+    plan.claim_subjects().into_iter().enumerate().map(of).collect()
 }
 
 /// These scenarios as a domain.
@@ -197,7 +197,7 @@ impl ScenarioCases {
     pub(in crate::assessment) fn animation(&self, case: &CaseResult) -> Markup {
         let Some((trace, impacts)) = &case.motion else { return html! {} };
         let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.describe());
-        animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.full_scenario, impacts)
+        draw_animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.full_scenario, impacts)
     }
 
     /// The figure of one case, folded away behind its outcome.

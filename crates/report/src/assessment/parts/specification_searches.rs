@@ -10,7 +10,7 @@ use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, ContentId, Pro
 use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
-use crate::assessment::figure_layout::{NamedSpace, file_stem};
+use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
@@ -96,7 +96,7 @@ impl<'p> SpecificationSearchPlan<'p> {
     /// All of a plan.
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
         plan.spaces.iter().flat_map(move |space| {
-            plan.config.search.rules.iter().flat_map(move |rule| {
+            plan.config.search.specifications.iter().flat_map(move |rule| {
                 plan.controllers.iter().enumerate().map(move |controller| Self { space, specification: rule, controller })
             })
         })
@@ -130,7 +130,7 @@ impl<'p> SpecificationSearchPlan<'p> {
         let (index, controller) = self.controller;
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
-        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.specification), plan.slug(index));
+        let stem = format!("{}/{}/{}", file_stem(self.space.space.name()), file_stem(self.specification), plan.controller_slug(index));
         let is_silent = |found: &&Counterexample| found.because.is_some();
         let severest = summary.counterexamples.first().filter(|found| !is_silent(found));
         let worst = severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
@@ -155,7 +155,7 @@ impl<'p> SpecificationSearchPlan<'p> {
         let [budget, seed] = [plan.config.search.budget, plan.config.seed].map(|number| number.to_string());
         let out = format!("searches/rules/{stem}");
         let command = word.as_deref().map(|word| {
-            let space = self.space.word();
+            let space = self.space.to_arg();
             let what = ["falsify", "--controller", word, "--space", &space, "--spec", self.specification];
             let how = ["--budget", &budget, "--seed", &seed, "--out", &out];
             CrumpleCommand::new(what).with_args(how).with_args(seeing.clone())
@@ -187,7 +187,7 @@ impl SpecificationSearches {
         for one in SpecificationSearchPlan::from_plan(plan) {
             let found = one.summarize(plan, one.gather(plan, work)?);
             if one.controller.0 == 0 {
-                let (space, rule) = (one.space.known.clone(), one.specification.to_owned());
+                let (space, rule) = (one.space.content_id.clone(), one.specification.to_owned());
                 searches.push(SpaceSpecificationSearches { space, specification: rule, controllers: Vec::new() });
             }
             if let Some(last) = searches.last_mut() {
@@ -201,7 +201,7 @@ impl SpecificationSearches {
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let of = |searches: &SpaceSpecificationSearches| {
             let domain = searches.domain(plan);
-            let claimants = plan.claimants().into_iter().zip(&searches.controllers);
+            let claimants = plan.claim_subjects().into_iter().zip(&searches.controllers);
             let each = claimants.map(|(subject, search)| Evidence {
                 claim: AssuranceClaim { subject, property: searches.property(), domain: domain.clone() },
                 strength: Strength::from_counts_with_unanswered(

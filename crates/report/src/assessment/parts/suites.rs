@@ -233,7 +233,7 @@ impl Suites {
 
 fn claims(plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Option<AssuranceClaim>> {
     let claim = |place: usize| {
-        let subject = plan.claimant(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
+        let subject = plan.claim_subject(place, plan.config.estimator).filter(|_| planned.controller_indices.contains(&place))?;
         let domain = Domain::Suite { suite: planned.content_id.clone() };
         Some(AssuranceClaim { subject, property: Property::PassesTests, domain })
     };

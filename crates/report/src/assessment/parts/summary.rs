@@ -96,7 +96,7 @@ impl ClaimSummary {
         let rows = claim_rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
-            index == 0 || index == plan.subject || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
+            index == 0 || index == plan.subject_index || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
         let asked = (0..controllers.len()).filter(is_asked).collect();
         Self { subject, controllers, named: explain_names(plan, found), claims: rows, gates: Vec::new(), main_columns: asked }
@@ -195,7 +195,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     };
     let of_all = |property: Property, domain: Domain, estimator: EstimatorKind| -> Vec<Option<AssuranceClaim>> {
         let claim = |index| {
-            let subject = plan.claimant(index, estimator)?;
+            let subject = plan.claim_subject(index, estimator)?;
             Some(AssuranceClaim { subject, property: property.clone(), domain: domain.clone() })
         };
         (0..plan.controllers.len()).map(claim).collect()
@@ -220,7 +220,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
         }
         let rare = Property::RateAtMost { percent: Rounded::new(RARE_PERCENT) };
         add("distribution", None, of_all(rare, Domain::Space { space: space() }, own));
-        if let Some(first) = plan.claimant(0, own) {
+        if let Some(first) = plan.claim_subject(0, own) {
             let fewer = Property::FailsLessOften { than: first.controller };
             for (part, domain) in [("distribution", in_draws()), ("proofs", Domain::Space { space: space() })] {
                 let mut claims = of_all(fewer.clone(), domain, own);
@@ -266,7 +266,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
         // Shields of other limits prove other things.
         let claim = |(index, other): (usize, &NamedController)| {
             let is_same = shielded(other) && domain(other) == domain(one);
-            let subject = plan.claimant(index, own).filter(|_| is_same)?;
+            let subject = plan.claim_subject(index, own).filter(|_| is_same)?;
             Some(AssuranceClaim { subject, property: Property::NoContactAhead, domain: domain(one) })
         };
         add("proofs", None, plan.controllers.iter().enumerate().map(claim).collect());

@@ -118,7 +118,7 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
 /// What is kept of one drive in traffic.
 struct EverydayDrive {
     verdict: CaseVerdict,
-    usefulness: Option<measure::UsefulnessReport>,
+    usefulness: Option<measure::UsefulnessMeasures>,
 }
 
 impl UsefulnessReport {
@@ -194,18 +194,18 @@ impl UsefulnessReport {
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let [traffic, danger] = self.domains();
         let mut all = Vec::new();
-        for (subject, useful) in plan.claimants().into_iter().zip(&self.controllers) {
-            let touching = |place: usize, failures: u64| failures.saturating_sub(useful.silent()[place]);
+        for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
+            let touching = |place: usize, failures: u64| failures.saturating_sub(useful.unanswered_runs()[place]);
             let [in_traffic, in_danger] = &useful.unanswered;
             let counts = [
                 (Property::NoContact, &traffic, touching(0, useful.failures), useful.cut_short[0], in_traffic),
-                (Property::NoUnnecessaryBraking, &traffic, useful.needless, 0, in_traffic),
+                (Property::NoUnnecessaryBraking, &traffic, useful.unnecessary_braking, 0, in_traffic),
                 (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
                 (Property::NoContact, &danger, touching(1, useful.high_risk_failures), useful.cut_short[1], in_danger),
             ];
             let line = AssuranceClaim { subject: subject.clone(), property: Property::StringStable, domain: self.platoon_domain() };
             let source = EvidenceSource::from_part(ANCHOR, "one run of a line");
-            all.push(Evidence { claim: line, strength: useful.line.strength(), source });
+            all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
             all.extend(counts.map(|(property, domain, failures, cut_short, silent)| Evidence {
                 strength: Strength::from_counts_with_unanswered(
                     failures,
@@ -330,7 +330,7 @@ impl EverydayDrive {
         let usefulness = simulated.trace.as_ref().zip(ego);
         Self {
             verdict: CaseVerdict::new(simulated, scenario),
-            usefulness: usefulness.and_then(|(trace, ego)| measure::UsefulnessReport::of(trace, &simulated.impacts, ego)),
+            usefulness: usefulness.and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)),
         }
     }
 }
@@ -349,13 +349,13 @@ impl ControllerUsefulness {
         let mut unanswered = [None, None];
         drives.iter().for_each(|drive| FailedControllerRuns::merge(&mut unanswered[0], drive.verdict.unanswered()));
         danger.iter().for_each(|draw| FailedControllerRuns::merge(&mut unanswered[1], draw.verdict.unanswered()));
-        let count = |is: &dyn Fn(&measure::UsefulnessReport) -> bool| all.iter().filter(|one| is(one)).count() as u64;
-        let mean = |of: &dyn Fn(&measure::UsefulnessReport) -> Option<f64>| {
+        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| all.iter().filter(|one| is(one)).count() as u64;
+        let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
             let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
             (n > 0).then(|| Rounded::new(sum / f64::from(n)))
         };
         let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
-        let needless = count(&|one| !one.needless.is_none());
+        let needless = count(&|one| !one.unnecessary.is_empty());
         // What those would have come to is not known.
         let silent = unanswered[0].as_ref().map_or(0, |silent: &FailedControllerRuns| silent.runs);
         let (drives_end, danger_ends) =
@@ -371,15 +371,15 @@ impl ControllerUsefulness {
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
             unnecessary_braking_percent: PercentInterval::clopper_pearson([needless, silent], drives.len() as u64, CONFIDENCE),
-            unnecessary_braking_s: mean(&|one| Some(one.needless.time_s)),
-            hard_braking: count(&|one| !one.hard.is_none()),
+            unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
+            hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.left_behind)),
             progress: following(|following| following.progress),
             time_gap_s: following(|following| following.mean_time_gap_s),
             time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
             rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
-            induced_brake_mps2: mean(&|one| one.imposed.and_then(|imposed| imposed.peak_brake_mps2)),
+            induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
             string_stability: line,
             high_risk_percent: PercentInterval::clopper_pearson(
                 [in_danger.failures, in_danger.cut_short],

@@ -14,7 +14,7 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::observer::Quiet;
-use crumple_search::worst_case::{Aim, Attack, AttackMethod, AttackResult, Envelope, attack};
+use crumple_search::worst_case::{AttackObjective, Attack, AttackMethod, AttackResult, Envelope, attack};
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
 use crumple_world::sim::{NamedController, RunOptions};
 
@@ -125,7 +125,7 @@ impl WorstProfiles {
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: self.domain() };
             Evidence { claim, strength, source: EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations)) }
         };
-        plan.claimants().into_iter().zip(&self.profiles).map(of).collect()
+        plan.claim_subjects().into_iter().zip(&self.profiles).map(of).collect()
     }
 
     /// The scenario with any braking of its leader, as a domain.
@@ -231,7 +231,7 @@ impl WorstProfile {
     ) -> Result<Self, AssessError> {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
         let AttackResult { attack: found, evaluations, programs } =
-            attack(scenario, &options, Aim::Mildest, envelope, ATTACK_BUDGET, &Quiet)?;
+            attack(scenario, &options, AttackObjective::Mildest, envelope, ATTACK_BUDGET, &Quiet)?;
         let mildest = match found {
             Some(attack) => MildestAttack::from_attack(attack, controller, plan)?,
             None => None,

@@ -108,7 +108,7 @@ impl ScriptedVehicle {
 
 impl VehicleManeuver for ScriptedVehicle {
     fn vehicle_index(&self) -> usize {
-        self.vehicle_index
+        self.index
     }
 
     fn start_event(&self) -> Option<(&'static str, f64)> {

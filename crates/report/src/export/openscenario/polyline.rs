@@ -79,7 +79,7 @@ pub(super) struct Trajectory<'a> {
 
 impl VehicleManeuver for Trajectory<'_> {
     fn vehicle_index(&self) -> usize {
-        self.vehicle_index
+        self.index
     }
 
     fn start_event(&self) -> Option<(&'static str, f64)> {

@@ -2,8 +2,8 @@
 
 use maud::html;
 
-use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, padded};
-use crumple_evidence::fit::{FittedSpace, FittedNumber, shown_p};
+use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, Stroke, Svg, pad_interval};
+use crumple_evidence::fit::{FittedSpace, FittedFeature, format_p_value};
 
 /// Size of a panel, in pixels, and what lies between two of them.
 const PANEL_SIZE: (f64, f64) = (340.0, 200.0);
@@ -14,51 +14,51 @@ const CURVE_POINTS: usize = 160;
 /// A panel for each number: the shares of what was observed, in steps, and the distribution fitted to it.
 #[must_use]
 pub fn draw_fit(fitted: &FittedSpace) -> Svg {
-    let step = (PANEL.0 + BETWEEN, PANEL.1 + HEADING_HEIGHT + BOTTOM_MARGIN);
-    let panels = fitted.numbers.iter().enumerate().map(|(index, number)| {
+    let step = (PANEL_SIZE.0 + PANEL_SPACING, PANEL_SIZE.1 + HEADING_HEIGHT + BOTTOM_MARGIN);
+    let panels = fitted.features.iter().enumerate().map(|(index, number)| {
         let (row, column) = (index / 2, index % 2);
         let (left, top) = (LEFT_MARGIN + 24.0 + column as f64 * step.0, HEADING_HEIGHT + row as f64 * step.1);
-        let frame = Frame { left, top, width: PANEL.0, height: PANEL.1 };
-        panel(number, frame).draw(&Svg::id("fitted", &number.name))
+        let frame = PixelRect { left, top, width: PANEL_SIZE.0, height: PANEL_SIZE.1 };
+        fit_panel(number, frame).draw(&Svg::id("fitted", &number.name))
     });
     let panels: Vec<_> = panels.collect();
     let rows = panels.len().div_ceil(2) as f64;
-    let size = (LEFT_MARGIN + 24.0 + 2.0 * PANEL.0 + BETWEEN + 24.0, rows * step.1);
+    let size = (LEFT_MARGIN + 24.0 + 2.0 * PANEL_SIZE.0 + PANEL_SPACING + 24.0, rows * step.1);
     let description = "Shares at most so large: steps are what was observed, lines what was fitted.";
     Svg::new("fitted", size, fitted.space.name(), description, html! { @for panel in &panels { (panel) } })
 }
 
-fn fit_panel(number: &FittedNumber, frame: Frame) -> Panel {
+fn fit_panel(number: &FittedFeature, frame: PixelRect) -> Panel {
     let point = number.point_mass.map(|point| point.at);
     let (smallest, largest) = (number.tails.smallest, number.tails.largest);
     let (low, high) =
-        padded((point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))), 0.08);
-    let x = Axis::numbers(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
+        pad_interval((point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))), 0.08);
+    let x = Axis::numeric(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
     let title = format!("{}: {}", number.name, number.chosen.family.name());
-    let mut panel = Panel::new(frame, &title, x, Axis::numbers("", (0.0, 1.0), 5));
+    let mut panel = Panel::new(frame, &title, x, Axis::numeric("", (0.0, 1.0), 5));
     let n = number.sorted.len() as f64;
     let mut steps = vec![(low, 0.0)];
     for (index, &value) in number.sorted.iter().enumerate() {
         steps.extend([(value, index as f64 / n), (value, (index + 1) as f64 / n)]);
     }
     steps.push((high, 1.0));
-    panel.line(&steps, Stroke::series(1));
-    if let Ok(ready) = number.distribution.ready() {
+    panel.add_line(&steps, Stroke::series(1));
+    if let Ok(ready) = number.distribution.build() {
         let even = (0..=CURVE_POINTS).map(|point| low + (high - low) * point as f64 / CURVE_POINTS as f64);
         // A step where a value has a probability of its own.
         let mut at: Vec<f64> = even.chain(point.into_iter().flat_map(|at| [at.next_down(), at])).collect();
         at.sort_by(f64::total_cmp);
-        let line: Vec<_> = at.into_iter().map(|value| (value, ready.share_below(value))).collect();
-        panel.line(&line, Stroke::series(0));
+        let line: Vec<_> = at.into_iter().map(|value| (value, ready.cdf(value))).collect();
+        panel.add_line(&line, Stroke::series(0));
     }
     let words = format!(
         "KS {:.3} (p {}), CvM {:.3} (p {})",
         number.goodness.kolmogorov_smirnov,
-        shown_p(number.goodness.kolmogorov_smirnov_p),
+        format_p_value(number.goodness.kolmogorov_smirnov_p),
         number.goodness.cramer_von_mises,
-        shown_p(number.goodness.cramer_von_mises_p)
+        format_p_value(number.goodness.cramer_von_mises_p)
     );
-    panel.note((high, 0.06), Anchor::End, &words, Ink::Muted);
-    panel.note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);
+    panel.add_note((high, 0.06), Anchor::End, &words, Ink::Muted);
+    panel.add_note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);
     panel
 }
