@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use hyper::header::{HOST_PROGRAM, HeaderMap, HeaderName, ORIGIN};
 
-use crate::error::Refused;
+use crate::error::RequestError;
 
 /// Says which kind of page a request comes from; set by the browser, which no page can change.
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
@@ -35,23 +35,23 @@ impl RequestAuth {
     }
 
     /// The path behind the token, for a request that may be answered.
-    pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, Refused> {
+    pub(crate) fn authorize<'p>(&self, path: &'p str, headers: &HeaderMap) -> Result<&'p str, RequestError> {
         let said = path.strip_prefix('/').unwrap_or_default();
         let (token, rest) = said.split_once('/').unwrap_or((said, ""));
-        if !is_same(token.as_bytes(), self.token.as_bytes()) {
-            return Err(Refused::Forbidden("the address lacks the token that was printed when this was started"));
+        if !is_equal_constant_time(token.as_bytes(), self.token.as_bytes()) {
+            return Err(RequestError::Forbidden("the address lacks the token that was printed when this was started"));
         }
         let all = |name: &HeaderName| {
             headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default()).collect::<Vec<_>>()
         };
         let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
         if !matches!(all(&HOST_PROGRAM)[..], [host] if is_own(host)) {
-            return Err(Refused::Forbidden("this is another host's name: use the address that was printed"));
+            return Err(RequestError::Forbidden("this is another host's name: use the address that was printed"));
         }
         let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
         let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
         if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
-            return Err(Refused::Forbidden("a page of another origin asks for this"));
+            return Err(RequestError::Forbidden("a page of another origin asks for this"));
         }
         Ok(rest)
     }

@@ -7,8 +7,8 @@ use crumple_world::scenario::Scenario;
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use serde::Serialize;
 
-use crate::render::replayed;
-use crate::error::Refused;
+use crate::render::render_replay;
+use crate::error::RequestError;
 
 /// The answer.
 #[derive(Debug, Serialize)]
@@ -23,8 +23,8 @@ pub(crate) struct AvoidabilityResponse {
 }
 
 /// Decides it, as `crumple avoid` does.
-pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, Refused> {
-    let found = avoid(scenario, AvoidOptions::default()).map_err(|error| Refused::invalid("scenario", error))?;
+pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, RequestError> {
+    let found = avoid(scenario, AvoidOptions::default()).map_err(|error| RequestError::invalid("scenario", error))?;
     let mut words = Vec::new();
     let mut drawn = String::new();
     match &found.verdict {
@@ -35,8 +35,8 @@ pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResp
             ));
             let options =
                 RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
-            let run = Run::new(&escape.scenario, options).map_err(|error| Refused::Failed(error.to_string()))?;
-            drawn = replayed(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
+            let run = Run::new(&escape.scenario, options).map_err(|error| RequestError::Internal(error.to_string()))?;
+            drawn = render_replay(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
         }
         AvoidanceVerdict::Unavoidable(_) => {
             words.push("No: every driver collides. That is proved, and the checker has accepted the proof.".to_owned())
@@ -49,5 +49,5 @@ pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResp
             (100.0 * bound_m).ceil() / 100.0
         ));
     }
-    Ok(AvoidabilityResponse { verdict: found.verdict.name(), words, escape: drawn })
+    Ok(AvoidabilityResponse { verdict: found.verdict.name(), sentences: words, escape_figure: drawn })
 }

@@ -6,11 +6,11 @@ use std::sync::{Mutex, PoisonError};
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in, built_in_names};
+use crumple_world::scenario::{Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::NamedController;
 
 use crate::campaign::CatalogCampaign;
-use crate::error::Refused;
+use crate::error::RequestError;
 
 /// What an application is started with.
 #[derive(Debug, Default)]
@@ -86,61 +86,61 @@ impl ExploreConfig {
 
     /// The same with everything built in, if it can be offered.
     pub(crate) fn into_catalog(self) -> Result<Catalog, ExploreConfigError> {
-        let Self { mut scenarios, mut controllers, estimator, out, campaigns } = self;
+        let Self { mut scenarios, mut controllers, estimator, save_folder: out, campaigns } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
-            return Err(ExploreConfigError::Controllers { found: controllers.len() });
+            return Err(ExploreConfigError::TooManyControllers { found: controllers.len() });
         }
         let names: Vec<&str> = controllers.iter().map(|controller| controller.name.as_str()).collect();
         if let Some(name) = (1..names.len())
             .find_map(|index| names.get(index).filter(|name| names.iter().take(index).any(|known| known == *name)))
         {
-            return Err(ExploreConfigError::Twice { name: (*name).to_owned() });
+            return Err(ExploreConfigError::DuplicateController { name: (*name).to_owned() });
         }
         if let Some(path) = out.as_ref().filter(|path| !path.is_dir()) {
-            return Err(ExploreConfigError::Out { path: path.clone() });
+            return Err(ExploreConfigError::SaveFolder { path: path.clone() });
         }
         let campaigns = campaigns
             .into_iter()
-            .map(|folder| Ok(CatalogCampaign::new(folder.display().to_string(), CampaignReader::at(&folder)?)));
+            .map(|folder| Ok(CatalogCampaign::new(folder.display().to_string(), CampaignReader::open(&folder)?)));
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
-            controllers.extend(ControllerSpec::named(DEFAULT_CONTROLLER).map(NamedController::from));
+            controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
         }
         let chosen = controllers.len();
-        for (name, _) in built_in_names() {
-            if let (Some(scenario), false) = (built_in(name), scenarios.iter().any(|offered| offered.name == *name)) {
+        for (name, _) in built_in_scenario_names() {
+            if let (Some(scenario), false) = (built_in_scenario(name), scenarios.iter().any(|offered| offered.name == *name)) {
                 scenarios.push(CatalogScenario { name: (*name).to_owned(), scenario });
             }
         }
-        for built_in in ControllerSpec::built_in().into_iter().map(NamedController::from) {
+        for built_in in ControllerSpec::all().into_iter().map(NamedController::from) {
             if !controllers.iter().any(|offered| offered.name == built_in.name) {
                 controllers.push(built_in);
             }
         }
         // A campaign's controller with settings is built in as well. Commands and files it may name are nobody's wish here.
         for campaign in &campaigns {
-            let name = campaign.look().controller().to_owned();
+            let name = campaign.lock_reader().controller().to_owned();
             if let (false, Some(Ok(spec))) =
                 (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(&name))
             {
                 controllers.push(spec.into());
             }
         }
-        Ok(Catalog { scenarios, controllers, chosen, estimator, out, campaigns, opened: Mutex::default() })
+        Ok(Catalog { scenarios, controllers, selected_controllers: chosen, estimator, save_folder: out, campaigns, opened_drivers: Mutex::default() })
     }
 }
 
 impl Catalog {
     /// The controllers that were offered by these names.
-    pub(crate) fn find_controllers(&self, names: &[String]) -> Result<Vec<&NamedController>, Refused> {
+    pub(crate) fn find_controllers(&self, names: &[String]) -> Result<Vec<&NamedController>, RequestError> {
         if !(1..=ExploreConfig::MAX_CONTROLLERS).contains(&names.len()) {
             let problem = format!("1 to {} run side by side, found {}", ExploreConfig::MAX_CONTROLLERS, names.len());
-            return Err(Refused::invalid("controllers", problem));
+            return Err(RequestError::invalid("controllers", problem));
         }
         let offered = |(index, name): (usize, &String)| {
             let found = self.controllers.iter().find(|offered| offered.name == *name);
             found.ok_or_else(|| {
-                Refused::invalid(
+                RequestError::invalid(
                     format!("controllers[{index}]"),
                     format!("no `{name}` was offered: start with --controller"),
                 )
@@ -151,7 +151,7 @@ impl Catalog {
 
     /// Remembers the files that drive in a scenario of a campaign, which the page may send back.
     pub(crate) fn register_drivers(&self, scenario: &Scenario) {
-        let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         for driver in file_drivers(scenario) {
             if !opened.contains(driver) {
                 opened.push(driver.clone());
@@ -161,8 +161,8 @@ impl Catalog {
 
     /// Puts what was read from files in the places where a scenario names the same files. Nothing is read: a page cannot have a file
     /// opened by naming it.
-    pub(crate) fn resolve_drivers(&self, spec: &mut ScenarioSpec) -> Result<(), Refused> {
-        let opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
+    pub(crate) fn resolve_drivers(&self, spec: &mut ScenarioSpec) -> Result<(), RequestError> {
+        let opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         let offered = self.scenarios.iter().flat_map(|offered| file_drivers(&offered.scenario));
         let known: Vec<&FileDriver> = offered.chain(opened.iter()).collect();
         for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
@@ -171,7 +171,7 @@ impl Catalog {
                     Some(known) => *file = (*known).clone(),
                     None => {
                         let field = format!("scenario.vehicles[{index}].driver.file.path");
-                        return Err(Refused::invalid(
+                        return Err(RequestError::invalid(
                             field,
                             "only files of scenarios that this was started with may drive",
                         ));
@@ -191,6 +191,6 @@ fn file_drivers(scenario: &Scenario) -> impl Iterator<Item = &FileDriver> {
 }
 
 /// The field of a scenario that was sent, as the page knows it.
-pub(crate) fn scenario_error(invalid: InvalidField) -> Refused {
-    Refused::invalid(format!("scenario.{}", invalid.field), invalid.problem)
+pub(crate) fn scenario_error(invalid: InvalidField) -> RequestError {
+    RequestError::invalid(format!("scenario.{}", invalid.field), invalid.problem)
 }

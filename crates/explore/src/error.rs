@@ -63,14 +63,14 @@ impl RequestError {
         match self {
             Self::Forbidden(_) => StatusCode::FORBIDDEN,
             Self::NotFound(_) => StatusCode::NOT_FOUND,
-            Self::Method(_) => StatusCode::METHOD_NOT_ALLOWED,
-            Self::Slow(_) => StatusCode::REQUEST_TIMEOUT,
-            Self::TooLong(_) => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::MethodNotAllowed(_) => StatusCode::METHOD_NOT_ALLOWED,
+            Self::Timeout(_) => StatusCode::REQUEST_TIMEOUT,
+            Self::TooLarge(_) => StatusCode::PAYLOAD_TOO_LARGE,
             Self::NotJson => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Self::Malformed { .. } => StatusCode::BAD_REQUEST,
             Self::Invalid { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             Self::Busy(_) => StatusCode::TOO_MANY_REQUESTS,
-            Self::Failed(_) => StatusCode::INTERNAL_SERVER_ERROR,
+            Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }
 
@@ -78,14 +78,14 @@ impl RequestError {
         match self {
             Self::Forbidden(_) => "forbidden",
             Self::NotFound(_) => "not-found",
-            Self::Method(_) => "method",
-            Self::Slow(_) => "slow",
-            Self::TooLong(_) => "too-long",
+            Self::MethodNotAllowed(_) => "method",
+            Self::Timeout(_) => "slow",
+            Self::TooLarge(_) => "too-long",
             Self::NotJson => "not-json",
             Self::Malformed { .. } => "malformed",
             Self::Invalid { .. } => "invalid",
             Self::Busy(_) => "busy",
-            Self::Failed(_) => "failed",
+            Self::Internal(_) => "failed",
         }
     }
 
@@ -110,7 +110,7 @@ impl From<FileError> for RequestError {
         match error {
             FileError::Syntax { line, message, .. } => Self::Malformed { line, message },
             FileError::Invalid { invalid, .. } => invalid.into(),
-            other => Self::Failed(other.to_string()),
+            other => Self::Internal(other.to_string()),
         }
     }
 }

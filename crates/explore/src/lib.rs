@@ -36,5 +36,5 @@ mod request;
 mod save;
 mod server;
 
-pub use catalog::{Offer, ExploreConfigError, CatalogScenario};
+pub use catalog::{ExploreConfig, ExploreConfigError, CatalogScenario};
 pub use server::{ServeError, Server};

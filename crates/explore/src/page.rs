@@ -1,6 +1,6 @@
 //! The pages, their style sheet and their script. Everything that moves is asked for by the script; nothing comes from elsewhere.
 
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 use crumple_report::PAGE_STYLE;
 use crumple_report::draw::{self, ANIMATION_SCRIPT, ANIMATION_STYLE};
 use crumple_world::observation::EstimatorKind;
@@ -8,7 +8,7 @@ use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::catalog::{Offer, Catalog};
+use crate::catalog::{ExploreConfig, Catalog};
 
 /// The one style sheet.
 pub(crate) fn style_sheet() -> String {
@@ -25,14 +25,14 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
     let classes = VehicleClass::ALL.iter().map(|class| {
         json!({ "name": class.name(), "max_brake_mps2": class.max_brake_mps2(), "max_accel_mps2": class.max_accel_mps2() })
     });
-    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": Offer::MAX_CONTROLLERS });
+    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": ExploreConfig::MAX_CONTROLLERS });
     let content = html! {
         h1.unseen { "Scenario" }
         div.bench {
             form.controls id="controls" aria-label="What happens" {
                 label { "Scenario "
                     select id="scenario" {
-                        @for (index, offered) in offer.scenarios.iter().enumerate() { option value=(index) { (Terminal(&offered.name)) } }
+                        @for (index, offered) in offer.scenarios.iter().enumerate() { option value=(index) { (TerminalText(&offered.name)) } }
                     }
                 }
                 p.hint id="about" hidden {}
@@ -47,8 +47,8 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 fieldset id="chosen" {
                     legend { "Controllers, side by side" }
                     @for (index, controller) in offer.controllers.iter().enumerate() {
-                        @let name = Terminal(&controller.name);
-                        label.choice { input type="checkbox" value=(controller.name) checked[index < offer.chosen]; " " (name) }
+                        @let name = TerminalText(&controller.name);
+                        label.choice { input type="checkbox" value=(controller.name) checked[index < offer.selected_controllers]; " " (name) }
                     }
                 }
                 label { "They look through "
@@ -60,7 +60,7 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 }
                 label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
                 div.buttons {
-                    @if offer.out.is_some() { button type="button" id="save" { "Save" } }
+                    @if offer.save_folder.is_some() { button type="button" id="save" { "Save" } }
                     button type="button" id="download" { "Download" }
                     button type="button" id="reset" { "Begin anew" }
                 }
@@ -90,11 +90,11 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
             p { code { "crumple explore runs/match-leader" } }
         } @else {
             form.filters id="filters" aria-label="What is shown" {
-                label { "Campaign " select id="campaign" { @for (index, campaign) in names() { option value=(index) { (Terminal(&campaign.name)) } } } }
+                label { "Campaign " select id="campaign" { @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } } } }
                 label { "Beside it "
                     select id="against" {
                         option value="" { "none" }
-                        @for (index, campaign) in names() { option value=(index) { (Terminal(&campaign.name)) } }
+                        @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } }
                     }
                 }
                 label { "Map across " select id="across" {} }
@@ -142,7 +142,7 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                     noscript { p.bad { "This page needs its script." } }
                     (content)
                 }
-                script type="application/json" id="start" { (PreEscaped(embedded(start))) }
+                script type="application/json" id="start" { (PreEscaped(escape_json(start))) }
             }
         }
     };

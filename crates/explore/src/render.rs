@@ -1,15 +1,15 @@
 //! Runs of a scenario as the page shows them: verdicts, diagrams, the view from above, and where its sliders stand.
 
-use crumple_core::quoted::{Lines, Terminal};
-use crumple_report::draw::{self, Layout, MotionAxes, MotionFigure, motion_on, vehicle_names};
+use crumple_core::quoting::{TerminalLines, TerminalText};
+use crumple_report::draw::{self, PanelArrangement, MotionAxes, MotionFigure, draw_motion_on_axes, vehicle_names};
 use crumple_world::measure::UnnecessaryBraking;
 use crumple_world::scenario::{Driver, LeadProfile, Scenario};
-use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use maud::html;
 use serde::Serialize;
 
 use crate::catalog::Catalog;
-use crate::error::Refused;
+use crate::error::RequestError;
 use crate::request::{RunRequest, gaps_m};
 
 /// Cells of the pad on which the leader's braking is drawn, at most.
@@ -18,7 +18,7 @@ const MAX_PAD_CELLS: usize = 60;
 /// What the page shows of a scenario.
 #[derive(Debug, Serialize)]
 pub(crate) struct RunResponse {
-    runs: Vec<Told>,
+    runs: Vec<RunSummary>,
     /// Time-space, speed and gap diagrams, as SVG.
     figures: String,
     /// The views from above.
@@ -71,24 +71,24 @@ struct LeadPad {
 }
 
 /// Runs what is asked for, and draws it.
-pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result<RunResponse, Refused> {
-    let scenario = request.scenario(offer)?;
-    let controllers = offer.controllers(&request.controllers)?;
+pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result<RunResponse, RequestError> {
+    let scenario = request.take_scenario(offer)?;
+    let controllers = offer.find_controllers(&request.controllers)?;
     let mut runs = Vec::new();
     for controller in &controllers {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(request.estimator);
-        let run = Run::new(&scenario, options).map_err(|error| Refused::invalid("controllers", error))?;
+        let run = Run::new(&scenario, options).map_err(|error| RequestError::invalid("controllers", error))?;
         runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
     }
     Ok(RunResponse {
-        runs: runs.iter().map(|(controller, run)| told(controller, &scenario, run)).collect(),
-        figures: figures(&scenario, &runs, request.narrow),
-        above: above(&scenario, &runs),
-        sliders: Sliders::of(&scenario),
+        runs: runs.iter().map(|(controller, run)| summarize_run(controller, &scenario, run)).collect(),
+        figures: render_figures(&scenario, &runs, request.narrow),
+        top_views: render_top_views(&scenario, &runs),
+        sliders: Sliders::new(&scenario),
     })
 }
 
-fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simulated) -> Told {
+fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &SimulationResult) -> RunSummary {
     let (verdict, words) = match &run.outcome {
         Outcome::Collision(contact) => (
             "collision",
@@ -112,59 +112,59 @@ fn summarize_run(controller: &NamedController, scenario: &Scenario, run: &Simula
         notes.push("it says of itself that it is not deterministic: another run may end otherwise".to_owned());
     }
     for vehicle in (0..scenario.vehicles().len()).filter(|&vehicle| scenario.is_under_test(vehicle)) {
-        let braking = run.trace.as_ref().and_then(|trace| UnnecessaryBraking::of(trace, &run.impacts, vehicle));
+        let braking = run.trace.as_ref().and_then(|trace| UnnecessaryBraking::from_trace(trace, &run.impacts, vehicle));
         if let Some(braking) = braking.filter(|braking| braking.hardest.is_some()) {
             notes.push(format!("vehicle {vehicle} brakes without cause for {:.2} s", braking.time_s));
         }
     }
     let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
-    Told { controller: shown(&controller.name), verdict, words: shown(&words), notes, contact_time_s }
+    RunSummary { controller: escape_text(&controller.name), verdict, summary: escape_text(&words), notes, contact_time_s }
 }
 
 /// Text that somebody else wrote, with what does not show as itself escaped.
 fn escape_text(text: &str) -> String {
-    Terminal(text).to_string()
+    TerminalText(text).to_string()
 }
 
 /// The diagrams of all runs on the same axes.
-fn render_figures(scenario: &Scenario, runs: &[(&NamedController, Simulated)], narrow: bool) -> String {
+fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResult)], narrow: bool) -> String {
     let labels = vehicle_names(scenario);
     let traced: Vec<_> =
         runs.iter().filter_map(|(controller, run)| Some((*controller, run, run.trace.as_ref()?))).collect();
-    let axes = MotionAxes::of_all(traced.iter().map(|(_, _, trace)| *trace));
+    let axes = MotionAxes::from_traces(traced.iter().map(|(_, _, trace)| *trace));
     let layout = match (narrow, traced.len()) {
-        (true, _) => Layout::Stacked,
-        (false, 1) => Layout::Wide,
-        (false, _) => Layout::Column,
+        (true, _) => PanelArrangement::Stacked,
+        (false, 1) => PanelArrangement::Wide,
+        (false, _) => PanelArrangement::Column,
     };
     let drawn = html! {
         div.side-by-side data-columns=(if narrow { 1 } else { traced.len().min(2) }) {
             @for (index, (controller, run, trace)) in traced.iter().enumerate() {
                 @let prefix = format!("motion-{index}");
-                (motion_on(&MotionFigure { prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts }, &axes, layout))
+                (draw_motion_on_axes(&MotionFigure { prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts }, &axes, layout))
             }
         }
     };
-    Lines(&drawn.into_string()).to_string()
+    TerminalLines(&drawn.into_string()).to_string()
 }
 
-fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, Simulated)]) -> String {
+fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, SimulationResult)]) -> String {
     let drawn = html! {
         @for (index, (controller, run)) in runs.iter().enumerate() {
             @if let Some(trace) = &run.trace {
-                (draw::animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
+                (simulate_failures::draw_animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
             }
         }
     };
-    Lines(&drawn.into_string()).to_string()
+    TerminalLines(&drawn.into_string()).to_string()
 }
 
 /// The diagrams of a run whose drivers the scenario has itself.
-pub(crate) fn render_replay(scenario: &Scenario, run: &Simulated, title: &str) -> String {
+pub(crate) fn render_replay(scenario: &Scenario, run: &SimulationResult, title: &str) -> String {
     let Some(trace) = &run.trace else { return String::new() };
     let labels = vehicle_names(scenario);
     let figure = MotionFigure { prefix: "escape", title, labels: &labels, trace, impacts: &run.impacts };
-    Lines(&draw::motion_responsive(&figure).into_string()).to_string()
+    TerminalLines(&draw::draw_motion_responsive(&figure).into_string()).to_string()
 }
 
 impl Sliders {
@@ -176,7 +176,7 @@ impl Sliders {
             name: names.get(index).cloned().unwrap_or_default(),
             class: vehicle.class.name(),
             driver: match &vehicle.driver {
-                Driver::Controller(controller) => controller.words(),
+                Driver::Controller(controller) => controller.to_arg(),
                 driver => driver.name().to_owned(),
             },
             gap_m: index.checked_sub(1).and_then(|before| gaps_m.get(before).copied()),
@@ -187,7 +187,7 @@ impl Sliders {
             duration_s: spec.duration_s,
             friction: spec.environment.friction,
             vehicles: spec.vehicles.iter().enumerate().map(vehicle).collect(),
-            lead: LeadPad::of(scenario),
+            lead: LeadPad::new(scenario),
         }
     }
 }
@@ -198,7 +198,7 @@ impl LeadPad {
         let cell_steps = steps.div_ceil(MAX_PAD_CELLS).max(1);
         let lead = spec.vehicles.first();
         let script = lead.and_then(|lead| match &lead.driver {
-            Driver::Profile(profile) => Some(cells(profile, lead.speed_mps, spec.step_s, steps, cell_steps)),
+            Driver::Profile(profile) => Some(mean_accelerations(profile, lead.speed_mps, spec.step_s, steps, cell_steps)),
             _ => None,
         });
         Self {

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::parse_json;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, ScenarioSpec, VehicleClass};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::catalog::{Catalog, of_scenario};
-use crate::error::Refused;
+use crate::catalog::{Catalog, scenario_error};
+use crate::error::RequestError;
 
 /// Most vehicles times steps that are simulated for one request, over all its controllers: half a second's work.
 pub(crate) const MAX_VEHICLE_STEPS: usize = 400_000;
@@ -47,7 +47,7 @@ struct Edits {
     friction: Option<f64>,
     vehicles: Vec<VehicleEdit>,
     /// How vehicle 0 accelerates and brakes, in place of its driver.
-    lead: Option<Pieces>,
+    lead: Option<PiecewiseAcceleration>,
 }
 
 /// What was changed of one vehicle.
@@ -62,8 +62,8 @@ struct VehicleEdit {
 }
 
 /// Reads what a request says.
-pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused> {
-    let text = std::str::from_utf8(body).map_err(|error| Refused::Malformed {
+pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestError> {
+    let text = std::str::from_utf8(body).map_err(|error| RequestError::Malformed {
         line: 1 + body.iter().take(error.valid_up_to()).filter(|&&byte| byte == b'\n').count(),
         message: "not UTF-8".to_owned(),
     })?;
@@ -72,36 +72,36 @@ pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, Refused>
 
 impl EditedScenario {
     /// The scenario that is meant.
-    pub(crate) fn into_scenario(self, offer: &Catalog) -> Result<Scenario, Refused> {
-        meant(self.scenario, self.edits, 1, offer)
+    pub(crate) fn into_scenario(self, offer: &Catalog) -> Result<Scenario, RequestError> {
+        apply_edits(self.scenario, self.edits, 1, offer)
     }
 }
 
 impl RunRequest {
     /// The scenario that is meant, taken out.
-    pub(crate) fn take_scenario(&mut self, offer: &Catalog) -> Result<Scenario, Refused> {
+    pub(crate) fn take_scenario(&mut self, offer: &Catalog) -> Result<Scenario, RequestError> {
         let (spec, edits) = (self.scenario.clone(), std::mem::take(&mut self.edits));
-        meant(spec, edits, self.controllers.len(), offer)
+        apply_edits(spec, edits, self.controllers.len(), offer)
     }
 }
 
 /// A scenario with what was changed, found valid and small enough to be run so often.
-fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalog) -> Result<Scenario, Refused> {
+fn apply_edits(mut spec: ScenarioSpec, edits: Edits, runs: usize, offer: &Catalog) -> Result<Scenario, RequestError> {
     offer.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
-    let scenario = Scenario::new(spec).map_err(of_scenario)?;
+    let scenario = Scenario::new(spec).map_err(scenario_error)?;
     let found = scenario.steps().saturating_mul(scenario.vehicles().len()).saturating_mul(runs.max(1));
-    if found > MOST_VEHICLE_STEPS {
+    if found > MAX_VEHICLE_STEPS {
         let problem = format!(
-            "asks for {found} vehicle-steps over all controllers, and {MOST_VEHICLE_STEPS} are followed while one drags"
+            "asks for {found} vehicle-steps over all controllers, and {MAX_VEHICLE_STEPS} are followed while one drags"
         );
-        return Err(Refused::invalid("scenario.duration_s", problem));
+        return Err(RequestError::invalid("scenario.duration_s", problem));
     }
     Ok(scenario)
 }
 
 impl Edits {
-    fn apply(self, spec: &mut ScenarioSpec) -> Result<(), Refused> {
+    fn apply(self, spec: &mut ScenarioSpec) -> Result<(), RequestError> {
         if let Some(name) = self.name {
             spec.name = name;
         }
@@ -114,7 +114,7 @@ impl Edits {
         for (index, edit) in self.vehicles.iter().enumerate() {
             let Some(vehicle) = spec.vehicles.get_mut(edit.vehicle) else {
                 let problem = format!("there is no vehicle {} in the scenario", edit.vehicle);
-                return Err(Refused::invalid(format!("edits.vehicles[{index}].vehicle"), problem));
+                return Err(RequestError::invalid(format!("edits.vehicles[{index}].vehicle"), problem));
             };
             if let Some(class) = edit.class {
                 vehicle.class = class;
@@ -125,7 +125,7 @@ impl Edits {
             match (edit.gap_m, edit.vehicle.checked_sub(1).and_then(|before| gaps_m.get_mut(before))) {
                 (Some(gap_m), Some(gap)) => *gap = gap_m,
                 (Some(_), None) => {
-                    return Err(Refused::invalid(
+                    return Err(RequestError::invalid(
                         format!("edits.vehicles[{index}].gap_m"),
                         "nobody is ahead of the first vehicle",
                     ));

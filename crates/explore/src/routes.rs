@@ -2,26 +2,26 @@
 
 use std::sync::{Mutex, TryLockError};
 
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::ScenarioSpec;
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};
 
-use crate::avoidability::avoided;
+use crate::avoidability::check_avoidability;
 use crate::campaign;
-use crate::render::{Sliders, drawn};
-use crate::auth::Gate;
+use crate::render::{Sliders, run_and_render};
+use crate::auth::RequestAuth;
 use crate::catalog::Catalog;
 use crate::page;
-use crate::error::Refused;
-use crate::request::{Edited, RunRequest, read};
-use crate::save::saved;
+use crate::error::RequestError;
+use crate::request::{EditedScenario, RunRequest, parse_body};
+use crate::save::save_scenario;
 
 /// The application: what it offers, and to whom.
 #[derive(Debug)]
 pub(crate) struct Application {
-    pub(crate) auth: Gate,
+    pub(crate) auth: RequestAuth,
     catalog: Catalog,
     /// Held while it is decided whether somebody could have avoided something, which takes up to two minutes.
     avoidability_lock: Mutex<()>,
@@ -66,7 +66,7 @@ struct OpenResponse<'a> {
 #[serde(deny_unknown_fields)]
 struct SaveRequest {
     #[serde(rename = "what")]
-    edited: Edited,
+    edited: EditedScenario,
     controller: String,
     #[serde(default)]
     estimator: EstimatorKind,
@@ -75,48 +75,48 @@ struct SaveRequest {
 }
 
 impl Application {
-    pub(crate) fn new(gate: Gate, offer: Catalog) -> Self {
-        Self { gate, offer, deciding: Mutex::new(()) }
+    pub(crate) fn new(gate: RequestAuth, offer: Catalog) -> Self {
+        Self { auth: gate, catalog: offer, avoidability_lock: Mutex::new(()) }
     }
 
     /// Answers what is behind the token. What is asked with a body may take its time.
-    pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, Refused> {
+    pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
-            ("", &Method::GET) => Ok(HttpResponse::of("text/html; charset=utf-8", page::scenario(&self.offer))),
-            ("campaigns", &Method::GET) => Ok(HttpResponse::of("text/html; charset=utf-8", page::campaigns(&self.offer))),
-            ("explore.css", &Method::GET) => Ok(HttpResponse::of("text/css; charset=utf-8", page::style())),
-            ("explore.js", &Method::GET) => Ok(HttpResponse::of("text/javascript; charset=utf-8", page::script())),
-            ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(Refused::Method("GET")),
-            ("api/open", &Method::POST) => self.open(&read(body)?),
-            ("api/run", &Method::POST) => json(&drawn(read::<RunRequest>(body)?, &self.offer)?),
-            ("api/avoid", &Method::POST) => self.avoid(read(body)?),
-            ("api/save", &Method::POST) => self.save(read(body)?),
-            ("api/campaign", &Method::POST) => json(&campaign::seen(&read(body)?, &self.offer.campaigns)?),
-            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => Err(Refused::Method("POST")),
-            _ => Err(Refused::NotFound("the pages and what they ask for are elsewhere")),
+            ("", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::scenario_page(&self.catalog))),
+            ("campaigns", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::campaigns_page(&self.catalog))),
+            ("explore.css", &Method::GET) => Ok(HttpResponse::new("text/css; charset=utf-8", page::style_sheet())),
+            ("explore.js", &Method::GET) => Ok(HttpResponse::new("text/javascript; charset=utf-8", page::script())),
+            ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(RequestError::MethodNotAllowed("GET")),
+            ("api/open", &Method::POST) => self.open(&parse_body(body)?),
+            ("api/run", &Method::POST) => json_response(&run_and_render(parse_body::<RunRequest>(body)?, &self.catalog)?),
+            ("api/avoid", &Method::POST) => self.avoid(parse_body(body)?),
+            ("api/save", &Method::POST) => self.save(parse_body(body)?),
+            ("api/campaign", &Method::POST) => json_response(&campaign::show_campaigns(&parse_body(body)?, &self.catalog.campaigns)?),
+            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => Err(RequestError::MethodNotAllowed("POST")),
+            _ => Err(RequestError::NotFound("the pages and what they ask for are elsewhere")),
         }
     }
 
-    fn open(&self, wanted: &Open) -> Result<HttpResponse, Refused> {
+    fn open(&self, wanted: &OpenRequest) -> Result<HttpResponse, RequestError> {
         match wanted {
-            Open { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
-                let offered = self.offer.scenarios.get(*index);
+            OpenRequest { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
+                let offered = self.catalog.scenarios.get(*index);
                 let offered = offered.ok_or_else(|| {
-                    Refused::invalid("scenario", format!("{} were offered", self.offer.scenarios.len()))
+                    RequestError::invalid("scenario", format!("{} were offered", self.catalog.scenarios.len()))
                 })?;
                 let scenario = &offered.scenario;
-                json(&OpenResponse {
+                json_response(&OpenResponse {
                     scenario: scenario.spec(),
-                    sliders: Sliders::of(scenario),
+                    sliders: Sliders::new(scenario),
                     controller: None,
                     estimator: None,
                     note: None,
                 })
             }
-            Open { scenario: None, campaign: Some(index), counterexample, evaluation } => {
+            OpenRequest { scenario: None, campaign: Some(index), counterexample, evaluation } => {
                 self.open_campaign_scenario(*index, *counterexample, *evaluation)
             }
-            _ => Err(Refused::invalid("scenario", "either a scenario or a campaign is opened")),
+            _ => Err(RequestError::invalid("scenario", "either a scenario or a campaign is opened")),
         }
     }
 
@@ -125,25 +125,25 @@ impl Application {
         index: usize,
         counterexample: Option<usize>,
         evaluation: Option<usize>,
-    ) -> Result<HttpResponse, Refused> {
-        let offered = self.offer.campaigns.get(index);
+    ) -> Result<HttpResponse, RequestError> {
+        let offered = self.catalog.campaigns.get(index);
         let offered = offered
-            .ok_or_else(|| Refused::invalid("campaign", format!("{} were offered", self.offer.campaigns.len())))?;
+            .ok_or_else(|| RequestError::invalid("campaign", format!("{} were offered", self.catalog.campaigns.len())))?;
         // A campaign whose files are damaged is not opened in part.
         offered.poll()?;
-        let look = offered.look();
+        let look = offered.lock_reader();
         let scenario = match (counterexample, evaluation) {
             (Some(place), None) => {
-                let found = look.counterexample(place).map_err(campaign::failed)?;
+                let found = look.counterexample(place).map_err(campaign::campaign_error)?;
                 found.ok_or_else(|| {
-                    Refused::invalid("counterexample", "the campaign has no such failure, or is not complete")
+                    RequestError::invalid("counterexample", "the campaign has no such failure, or is not complete")
                 })?
             }
             (None, Some(place)) => {
                 let found = look.evaluations().get(place);
                 let (method, evaluated) = found
-                    .ok_or_else(|| Refused::invalid("evaluation", format!("{} are known", look.evaluations().len())))?;
-                let scenario = look.scenario(&evaluated.values).map_err(campaign::failed)?;
+                    .ok_or_else(|| RequestError::invalid("evaluation", format!("{} are known", look.evaluations().len())))?;
+                let scenario = look.scenario(&evaluated.values).map_err(campaign::campaign_error)?;
                 let name = format!("{}-{}-{}", look.space().name(), method.name(), evaluated.number);
                 let about = format!(
                     "Evaluation {} of {} in the space `{}`.",
@@ -153,55 +153,55 @@ impl Application {
                 );
                 scenario.edited(|spec| (spec.name, spec.about) = (name, about))?
             }
-            _ => return Err(Refused::invalid("campaign", "either a counterexample or an evaluation is opened")),
+            _ => return Err(RequestError::invalid("campaign", "either a counterexample or an evaluation is opened")),
         };
-        self.offer.register_drivers(&scenario);
+        self.catalog.register_drivers(&scenario);
         let name = look.controller();
-        let offered = self.offer.controllers.iter().find(|controller| controller.name == name);
-        let is_offered = offered.is_some_and(|controller| look.is_about(controller));
+        let offered = self.catalog.controllers.iter().find(|controller| controller.name == name);
+        let is_offered = offered.is_some_and(|controller| look.is_for_controller(controller));
         let note = match offered {
             None => Some(format!(
                 "The campaign is about {}, which is not available: start with --controller",
-                Terminal(name)
+                TerminalText(name)
             )),
             Some(_) if !is_offered => Some(format!(
                 "The campaign is about {}, which is not available: the controller of this name has another identity",
-                Terminal(name)
+                TerminalText(name)
             )),
             Some(_) => None,
         };
-        json(&OpenResponse {
+        json_response(&OpenResponse {
             scenario: scenario.spec(),
-            sliders: Sliders::of(&scenario),
+            sliders: Sliders::new(&scenario),
             controller: is_offered.then(|| name.to_owned()),
             estimator: Some(look.estimator().name()),
             note,
         })
     }
 
-    fn avoid(&self, edited: Edited) -> Result<HttpResponse, Refused> {
-        let scenario = edited.scenario(&self.offer)?;
-        let _alone = match self.deciding.try_lock() {
+    fn avoid(&self, edited: EditedScenario) -> Result<HttpResponse, RequestError> {
+        let scenario = edited.into_scenario(&self.catalog)?;
+        let _alone = match self.avoidability_lock.try_lock() {
             Ok(alone) => alone,
             // Nothing is kept in it.
             Err(TryLockError::Poisoned(alone)) => alone.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(Refused::Busy("whether another scenario could have been avoided"));
+                return Err(RequestError::Busy("whether another scenario could have been avoided"));
             }
         };
-        json(&avoided(&scenario)?)
+        json_response(&check_avoidability(&scenario)?)
     }
 
-    fn save(&self, save: SaveRequest) -> Result<HttpResponse, Refused> {
-        let scenario = save.what.scenario(&self.offer)?;
-        let named = self.offer.controllers(std::slice::from_ref(&save.controller))?;
+    fn save(&self, save: SaveRequest) -> Result<HttpResponse, RequestError> {
+        let scenario = save.edited.into_scenario(&self.catalog)?;
+        let named = self.catalog.find_controllers(std::slice::from_ref(&save.controller))?;
         let controller = named.first().map_or("", |controller| controller.name.as_str());
-        let out = match (&self.offer.out, save.to_folder) {
+        let out = match (&self.catalog.save_folder, save.to_folder) {
             (Some(folder), true) => Some(folder.as_path()),
-            (None, true) => return Err(Refused::invalid("to_folder", "no folder was given: start with --out")),
+            (None, true) => return Err(RequestError::invalid("to_folder", "no folder was given: start with --out")),
             (_, false) => None,
         };
-        json(&saved(&scenario, controller, save.estimator.name(), out)?)
+        json_response(&save_scenario(&scenario, controller, save.estimator.name(), out)?)
     }
 }
 
@@ -211,16 +211,16 @@ impl HttpResponse {
     }
 }
 
-impl From<Refused> for HttpResponse {
-    fn from(refused: Refused) -> Self {
-        let body = format!("{}\n", refused.json()).into_bytes();
+impl From<RequestError> for HttpResponse {
+    fn from(refused: RequestError) -> Self {
+        let body = format!("{}\n", refused.to_json()).into_bytes();
         Self { status: refused.status(), content_type: JSON, body }
     }
 }
 
 const JSON: &str = "application/json";
 
-fn json_response(content: &impl Serialize) -> Result<HttpResponse, Refused> {
-    let body = serde_json::to_vec(content).map_err(|error| Refused::Failed(error.to_string()))?;
-    Ok(HttpResponse::of(JSON, body))
+fn json_response(content: &impl Serialize) -> Result<HttpResponse, RequestError> {
+    let body = serde_json::to_vec(content).map_err(|error| RequestError::Internal(error.to_string()))?;
+    Ok(HttpResponse::new(JSON, body))
 }

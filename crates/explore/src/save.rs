@@ -4,11 +4,11 @@ use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use crumple_core::quoted::{ShellWord, Terminal};
+use crumple_core::quoting::{ShellWord, TerminalText};
 use crumple_world::scenario::{Scenario, file};
 use serde::Serialize;
 
-use crate::error::Refused;
+use crate::error::RequestError;
 
 /// Letters of a file's name.
 const MAX_STEM_CHARS: usize = 60;
@@ -32,10 +32,10 @@ pub(crate) fn save_scenario(
     controller: &str,
     estimator: &str,
     out: Option<&Path>,
-) -> Result<SaveResponse, Refused> {
-    let toml = file::to_toml(scenario).map_err(|error| Refused::Failed(error.to_string()))?;
-    let plain = plain(&scenario.spec().name);
-    let path = out.map(|folder| written(folder, &plain, &toml)).transpose()?;
+) -> Result<SaveResponse, RequestError> {
+    let toml = file::to_toml(scenario).map_err(|error| RequestError::Internal(error.to_string()))?;
+    let plain = file_stem(&scenario.spec().name);
+    let path = out.map(|folder| write_new_file(folder, &plain, &toml)).transpose()?;
     let file_name = path
         .as_ref()
         .and_then(|path| path.file_name())
@@ -49,16 +49,16 @@ pub(crate) fn save_scenario(
     Ok(SaveResponse {
         file_name,
         toml,
-        path: path.map(|path| Terminal(&path.display().to_string()).to_string()),
-        command: Terminal(&command).to_string(),
+        path: path.map(|path| TerminalText(&path.display().to_string()).to_string()),
+        command: TerminalText(&command).to_string(),
     })
 }
 
-fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Refused> {
+fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, RequestError> {
     for number in 1..=MAX_SAME_NAME_FILES {
         let name = if number == 1 { format!("{plain}.toml") } else { format!("{plain}-{number}.toml") };
         let path = folder.join(name);
-        let failed = |error: std::io::Error| Refused::Failed(format!("{}: {error}", path.display()));
+        let failed = |error: std::io::Error| RequestError::Internal(format!("{}: {error}", path.display()));
         // Only where nothing is, links included: what is there stays as it is.
         let mut file = match OpenOptions::new().write(true).create_new(true).open(&path) {
             Ok(file) => file,
@@ -74,7 +74,7 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Ref
             }
         };
     }
-    Err(Refused::invalid("edits.name", format!("there are {MOST_OF_A_NAME} scenarios of this name already")))
+    Err(RequestError::invalid("edits.name", format!("there are {MAX_SAME_NAME_FILES} scenarios of this name already")))
 }
 
 /// The name of a file: letters, digits and hyphens, so that it leads nowhere else and is none that a system keeps for itself.

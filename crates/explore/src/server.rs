@@ -23,10 +23,10 @@ use tokio::runtime::Runtime;
 use tokio::task::AbortHandle;
 use tokio::time::{sleep, timeout};
 
-use crate::routes::{Answer, Application};
-use crate::auth::Gate;
-use crate::catalog::{Offer, ExploreConfigError};
-use crate::error::Refused;
+use crate::routes::{HttpResponse, Application};
+use crate::auth::RequestAuth;
+use crate::catalog::{ExploreConfig, ExploreConfigError};
+use crate::error::RequestError;
 
 /// Most connections at once. Beyond that, the connection ends that has waited longest for its client. A connection whose request is being
 /// answered does not end.
@@ -107,13 +107,13 @@ impl Server {
     ///
     /// # Errors
     /// [`ServeError`] if that cannot be listened at, or something cannot be offered.
-    pub fn bind(port: u16, offer: Offer) -> Result<Self, ServeError> {
-        let offer = offer.completed()?;
+    pub fn bind(port: u16, offer: ExploreConfig) -> Result<Self, ServeError> {
+        let offer = offer.into_catalog()?;
         let unusable = |source| ServeError::Port { port, source };
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(unusable)?;
         listener.set_nonblocking(true).map_err(unusable)?;
         let port = listener.local_addr().map_err(unusable)?.port();
-        let gate = Gate::new(port)?;
+        let gate = RequestAuth::new(port)?;
         // Simulations take the processors one each; connections need little more than one thread among them.
         let processors = std::thread::available_parallelism().map_or(2, usize::from).max(2);
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -129,19 +129,19 @@ impl Server {
                 Poll::PendingChange => interrupt,
             };
         let application = Arc::new(Application::new(gate, offer));
-        Ok(Self { listener, port, application, runtime, interrupt, patience: PATIENCE })
+        Ok(Self { listener, port, application, runtime, interrupt, read_timeout: READ_TIMEOUT })
     }
 
     /// Sets the time in which the head of a request arrives, and then its body; 10 s otherwise.
     #[must_use]
     pub fn with_read_timeout(self, patience: Duration) -> Self {
-        Self { patience, ..self }
+        Self { read_timeout: patience, ..self }
     }
 
     /// The first address, with the token.
     #[must_use]
     pub fn url(&self) -> String {
-        self.application.gate.address()
+        self.application.auth.url()
     }
 
     /// The port.
@@ -157,7 +157,7 @@ impl Server {
     pub fn run(self) -> Result<(), ServeError> {
         let done = self.runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(self.listener)?;
-            tokio::spawn(accept(listener, self.application, self.patience));
+            tokio::spawn(accept(listener, self.application, self.read_timeout));
             self.interrupt.await
         });
         // What is still being simulated is of use to nobody.
@@ -174,10 +174,10 @@ async fn accept(listener: tokio::net::TcpListener, application: Arc<Application>
             sleep(RETRY_AFTER).await;
             continue;
         };
-        while !has_room(&mut connections) {
+        while !try_free_connection(&mut connections) {
             sleep(RETRY_AFTER).await;
         }
-        let idle_since = Arc::new(AtomicU64::new(tick()));
+        let idle_since = Arc::new(AtomicU64::new(next_tick()));
         let (application, own_idle_since) = (Arc::clone(&application), Arc::clone(&idle_since));
         let task = tokio::spawn(async move {
             let service = service_fn(|request| respond(Arc::clone(&application), request, &own_idle_since, patience));
@@ -229,7 +229,7 @@ async fn respond(
     patience: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
     let answered = handle(application, request, idle_since, patience).await;
-    let Answer { status, content_type, body } = answered.unwrap_or_else(Answer::from);
+    let HttpResponse { status, content_type, body } = answered.unwrap_or_else(HttpResponse::from);
     let mut response = Response::new(Full::new(Bytes::from(body)));
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(content_type));
@@ -244,42 +244,42 @@ async fn handle(
     request: Request<Incoming>,
     idle_since: &AtomicU64,
     patience: Duration,
-) -> Result<Answer, Refused> {
+) -> Result<HttpResponse, RequestError> {
     // The time for which the connection was idle before no longer counts.
-    idle_since.store(tick(), Ordering::Relaxed);
+    idle_since.store(next_tick(), Ordering::Relaxed);
     let (head, body) = request.into_parts();
-    let rest = application.gate.admit(head.uri.path(), &head.headers)?.to_owned();
+    let rest = application.auth.authorize(head.uri.path(), &head.headers)?.to_owned();
     if head.method == Method::GET {
-        return application.answer(&head.method, &rest, &[]);
+        return application.dispatch(&head.method, &rest, &[]);
     }
     // A form of another page cannot say this without asking first.
     let is_json = head.headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).is_some_and(|kind| {
         kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
     });
     if head.method == Method::POST && !is_json {
-        return Err(Refused::NotJson);
+        return Err(RequestError::NotJson);
     }
-    let body = timeout(patience, whole(body)).await.map_err(|_| Refused::Slow(patience))??;
+    let body = timeout(patience, read_body(body)).await.map_err(|_| RequestError::Timeout(patience))??;
     // More than there are threads for wait in line.
     idle_since.store(BUSY, Ordering::Relaxed);
-    let answer = tokio::task::spawn_blocking(move || application.answer(&head.method, &rest, &body)).await;
-    idle_since.store(tick(), Ordering::Relaxed);
-    answer.unwrap_or_else(|_| Err(Refused::Failed("a fault of crumple: please report it with the scenario".to_owned())))
+    let answer = tokio::task::spawn_blocking(move || application.dispatch(&head.method, &rest, &body)).await;
+    idle_since.store(next_tick(), Ordering::Relaxed);
+    answer.unwrap_or_else(|_| Err(RequestError::Internal("a fault of crumple: please report it with the scenario".to_owned())))
 }
 
 /// The whole of a body. What is too long is heard out, or its sender would hear nothing of why it was refused.
-async fn read_body(mut body: Incoming) -> Result<Vec<u8>, Refused> {
+async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
     let (mut bytes, mut length) = (Vec::new(), 0_usize);
     while let Some(frame) = body.frame().await {
         let broken =
-            |error: hyper::Error| Refused::Malformed { line: 1, message: format!("the request breaks off: {error}") };
+            |error: hyper::Error| RequestError::Malformed { line: 1, message: format!("the request breaks off: {error}") };
         let Ok(data) = frame.map_err(broken)?.into_data() else { continue };
         length = length.saturating_add(data.len());
-        if length <= MOST_BYTES {
+        if length <= MAX_BODY_BYTES {
             bytes.extend_from_slice(&data);
         } else if length > MAX_DRAINED_BYTES {
             break;
         }
     }
-    if length > MOST_BYTES { Err(Refused::TooLong(MOST_BYTES >> 10)) } else { Ok(bytes) }
+    if length > MAX_BODY_BYTES { Err(RequestError::TooLarge(MAX_BODY_BYTES >> 10)) } else { Ok(bytes) }
 }

@@ -4,7 +4,7 @@ mod fit;
 
 use maud::html;
 
-pub use space_check::space_check;
+pub use fit::draw_fit;
 
 use crate::draw::{Anchor, Axis, BOTTOM_MARGIN, PixelRect, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Stroke, Svg, extent, pad_interval};
 use crumple_world::policy::{CurvePoint, LearningCurve, COLLISION_FREE_REWARD};

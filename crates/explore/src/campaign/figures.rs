@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, Frame, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, cells,
-    extent, key, mark, padded, signed, text_width, words,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, cells,
+    extent, draw_legend, draw_marker, pad_interval, format_number, text_width, description,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
 
-use super::Shown;
-use super::grid::{Cell, Map, Side};
+use super::CampaignView;
+use super::grid::{GridCell, FailureGrid, GridAxis};
 
 /// Width of a figure where there is room, and where there is not.
 const WIDTHS: [f64; 2] = [720.0, 380.0];
@@ -24,13 +24,13 @@ fn width(narrow: bool) -> f64 {
 }
 
 /// The smallest robustness so far over the evaluations of each method.
-pub(super) fn best_robustness_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
+pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
     let mut lines: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for one in shown {
-        for method in one.look.methods() {
+        for method in one.reader.methods() {
             let name =
                 if shown.len() > 1 { format!("{}: {}", one.name, method.name()) } else { method.name().to_owned() };
-            lines.push((name, falling(one, &method)));
+            lines.push((name, best_so_far(one, &method)));
         }
     }
     let all = || lines.iter().flat_map(|(_, line)| line);
@@ -38,19 +38,19 @@ pub(super) fn best_robustness_figure(shown: &[Shown<'_>], narrow: bool) -> Marku
     // Each in its own place on a paper of powers of ten.
     let marks =
         (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
-    let x = Axis::marked("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
-    let y = Axis::numbers("", padded(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
-    let frame = Frame { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
+    let x = Axis::with_ticks("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
+    let y = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
+    let frame = PixelRect { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
     let title = "Best robustness (below 0 a failure)";
     let mut panel = Panel::new(frame, title, x, y);
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
     let mut entries = Vec::new();
     for (index, (name, line)) in lines.iter().enumerate() {
         let line: Vec<(f64, f64)> = line.iter().map(|(x, y)| (x.log10(), *y)).collect();
-        panel.line(&line, Stroke::series(index));
+        panel.add_line(&line, Stroke::series(index));
         entries.push(LegendEntry::Line(Stroke::series(index), name));
     }
-    let (key, key_height) = key(&entries, width(narrow) - 12.0);
+    let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
     let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {
         (panel.draw(&Svg::id("best", "frame")))
@@ -62,10 +62,10 @@ pub(super) fn best_robustness_figure(shown: &[Shown<'_>], narrow: bool) -> Marku
 }
 
 /// Where the smallest robustness of a method falls, and where it is in the end.
-fn best_so_far(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
+fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
     let mut line: Vec<(f64, f64)> = Vec::new();
     let (mut least, mut last) = (f64::INFINITY, 0);
-    for (_, evaluated) in one.look.evaluations().iter().filter(|(method, _)| method == wanted) {
+    for (_, evaluated) in one.reader.evaluations().iter().filter(|(method, _)| method == wanted) {
         last = evaluated.number;
         let robustness = evaluated.verdict.robustness;
         if robustness.is_finite() && robustness < least {
@@ -83,38 +83,38 @@ fn best_so_far(one: &Shown<'_>, wanted: &Method) -> Vec<(f64, f64)> {
 }
 
 /// Severity against likelihood.
-pub(super) fn pareto_front_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
-    let fronts: Vec<_> = shown.iter().map(|one| (one, one.look.front())).collect();
+pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
+    let fronts: Vec<_> = shown.iter().map(|one| (one, one.reader.front())).collect();
     let points = || fronts.iter().flat_map(|(_, front)| front);
     if points().next().is_none() {
         return html! { p.hint { "No failure yet, so nothing stands on the front." } };
     }
-    let x = Axis::numbers("ln likelihood", padded(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
-    let y = Axis::numbers("", padded(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
-    let frame = Frame { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
+    let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
+    let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
+    let frame = PixelRect { left: LEFT_MARGIN + 12.0, top: HEADING_HEIGHT, width: width(narrow) - LEFT_MARGIN - 24.0, height: HEIGHT };
     let title = "Robustness of failures that no other beats in severity and likelihood";
     let mut panel = Panel::new(frame, if narrow { "The front: robustness" } else { title }, x, y);
     let markers = [Marker::Disc, Marker::Square];
     for (series, (one, front)) in fronts.iter().enumerate() {
         let place: HashMap<(&str, u64), usize> = one
-            .look
+            .reader
             .evaluations()
             .iter()
             .enumerate()
             .map(|(index, (method, evaluated))| ((method.name(), evaluated.number), index))
             .collect();
         let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
-        panel.line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
+        panel.add_line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
         for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
             let drawn =
-                mark(panel.place((point.ln_likelihood, point.robustness)), markers[series % 2], Ink::Series(series));
+                draw_marker(panel.to_pixels((point.ln_likelihood, point.robustness)), markers[series % 2], Ink::Series(series));
             let said = format!(
                 "{}: robustness {}, ln likelihood {}",
                 point.kind,
-                signed(point.robustness, 2),
-                signed(point.ln_likelihood, 2)
+                format_number(point.robustness, 2),
+                format_number(point.ln_likelihood, 2)
             );
-            panel.overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
+            panel.add_overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
                 Some(index) => html! {
                     a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(said) { title { (said) } (drawn) }
                 },
@@ -126,7 +126,7 @@ pub(super) fn pareto_front_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
     let names: Vec<String> = shown.iter().map(|one| one.name.to_owned()).collect();
     let entries: Vec<LegendEntry<'_>> =
         names.iter().zip(markers).map(|(name, marker)| LegendEntry::Mark(marker, name)).collect();
-    let (key, key_height) = key(&entries, width(narrow) - 12.0);
+    let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
     let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
     let content = html! {
         (panel.draw(&Svg::id("front", "frame")))
@@ -138,52 +138,52 @@ pub(super) fn pareto_front_figure(shown: &[Shown<'_>], narrow: bool) -> Markup {
 }
 
 /// What was tried in each cell, and what failed.
-pub(super) fn failure_grid_figure(shown: &Shown<'_>, map: &Map, narrow: bool) -> Markup {
-    let widest = map.up.cells.iter().map(|(from, _)| text_width(from, SMALL_TEXT_SIZE)).fold(0.0, f64::max);
-    let (columns, rows) = (map.across.cells.len(), map.up.cells.len());
+pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, narrow: bool) -> Markup {
+    let widest = map.y_axis.cell_bounds.iter().map(|(from, _)| text_width(from, SMALL_TEXT_SIZE)).fold(0.0, f64::max);
+    let (columns, rows) = (map.x_axis.cell_bounds.len(), map.y_axis.cell_bounds.len());
     let left = widest + 16.0;
     let wide = ((width(narrow) - left - 14.0) / columns as f64).min(2.0 * CELL_HEIGHT);
-    let frame = Frame { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
+    let frame = PixelRect { left, top: HEADING_HEIGHT + 4.0, width: wide * columns as f64, height: CELL_HEIGHT * rows as f64 };
     let cell_frame = |index: usize| {
         let (row, column) = (index / columns, index % columns);
         // The smallest value below.
-        Frame {
+        PixelRect {
             left: left + column as f64 * wide,
             top: frame.bottom() - (row + 1) as f64 * CELL_HEIGHT,
             width: wide,
             height: CELL_HEIGHT,
         }
     };
-    let of = |wanted: fn(&Cell) -> bool| {
+    let of = |wanted: fn(&GridCell) -> bool| {
         map.cells.iter().enumerate().filter(move |(_, cell)| wanted(cell)).map(|(index, _)| cell_frame(index))
     };
     let prefix = format!("map-{}", shown.index);
-    let title = format!("{} over {}", map.up.title(), map.across.title());
+    let title = format!("{} over {}", map.y_axis.title(), map.x_axis.title());
     let content = html! {
-        (words((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
-        (words((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.up.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
-        (cells(CellStyle::Blank, of(|cell| cell.tried > 0 && cell.failing == 0)))
-        (cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.tried)))
-        @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.tried) {
-            @let Frame { left, top, width, height } = cell_frame(index);
+        (summary_line((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
+        (summary_line((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.y_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        (cells(CellStyle::Blank, of(|cell| cell.total > 0 && cell.failing == 0)))
+        (cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.total)))
+        @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.total) {
+            @let PixelRect { left, top, width, height } = cell_frame(index);
             rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex()) fill-opacity="0.5" {}
-            (words((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
+            (summary_line((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
         }
         rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none" stroke=(Ink::Axis.hex()) {}
-        @for (index, (from, _)) in map.up.cells.iter().enumerate() {
-            @let y = frame.bottom() - (index as f64 + if map.up.is_named { 0.5 } else { 0.0 }) * CELL_HEIGHT + 4.0;
-            (words((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
+        @for (index, (from, _)) in map.y_axis.cell_bounds.iter().enumerate() {
+            @let y = frame.bottom() - (index as f64 + if map.y_axis.is_named { 0.5 } else { 0.0 }) * CELL_HEIGHT + 4.0;
+            (summary_line((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        @for (index, (from, _)) in map.across.cells.iter().enumerate().filter(|(index, _)| map.across.is_named || index % 3 == 0) {
-            @let x = frame.left + (index as f64 + if map.across.is_named { 0.5 } else { 0.0 }) * wide;
-            (words((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
+        @for (index, (from, _)) in map.x_axis.cell_bounds.iter().enumerate().filter(|(index, _)| map.x_axis.is_named || index % 3 == 0) {
+            @let x = frame.left + (index as f64 + if map.x_axis.is_named { 0.5 } else { 0.0 }) * wide;
+            (summary_line((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        (words((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.across.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        (summary_line((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.x_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
         @for (index, cell) in map.cells.iter().enumerate() {
             @if let Some((worst, robustness)) = cell.worst {
-                @let Frame { left, top, width, height } = cell_frame(index);
-                @let said = format!("{}, {}: {} of {} fail, worst robustness {}", map.across.words(index % columns), map.up.words(index / columns),
-                    cell.failing, cell.tried, signed(robustness, 2));
+                @let PixelRect { left, top, width, height } = cell_frame(index);
+                @let said = format!("{}, {}: {} of {} fail, worst robustness {}", map.x_axis.cell_label(index % columns), map.y_axis.cell_label(index / columns),
+                    cell.failing, cell.total, format_number(robustness, 2));
                 a href={ "./?campaign=" (shown.index) "&evaluation=" (worst) } aria-label=(said) {
                     title { (said) }
                     rect class="cell" x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill="transparent" {}
@@ -197,7 +197,7 @@ pub(super) fn failure_grid_figure(shown: &Shown<'_>, map: &Map, narrow: bool) ->
     html! { div.map { (Svg::new(&prefix, size, &title, description, content).with_links()) } }
 }
 
-impl Side {
+impl GridAxis {
     fn title(&self) -> String {
         if self.unit == "1" || self.unit.is_empty() {
             self.name.clone()

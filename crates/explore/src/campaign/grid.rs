@@ -1,9 +1,9 @@
 //! A map of a campaign over two of its coordinates: how many evaluations of each cell fail, and which is the worst.
 
 use crumple_search::falsify::campaign::CampaignReader;
-use crumple_world::scenario::space::Parameter;
+use crumple_world::scenario::space::SpaceParameter;
 
-use super::Chosen;
+use super::EvaluationFilter;
 
 /// Cells along a coordinate of numbers.
 const CELLS_PER_AXIS: usize = 12;
@@ -38,24 +38,24 @@ pub(crate) struct GridCell {
 
 impl FailureGrid {
     /// That of two coordinates by their names; none if the campaign has not both.
-    pub(crate) fn from_campaign(look: &CampaignReader, names: [&str; 2], chosen: &Chosen<'_>) -> Option<Self> {
+    pub(crate) fn from_campaign(look: &CampaignReader, names: [&str; 2], chosen: &EvaluationFilter<'_>) -> Option<Self> {
         let known = look.space().coordinate_names();
-        let parameters: Vec<&Parameter> = look.space().coordinate_parameters().collect();
+        let parameters: Vec<&SpaceParameter> = look.space().coordinate_parameters().collect();
         let side = |name: &str| {
             let place = known.iter().position(|known| known == name)?;
-            Some((place, GridAxis::of(name, parameters.get(place)?)))
+            Some((place, GridAxis::new(name, parameters.get(place)?)))
         };
         let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
-        let mut cells = vec![GridCell::default(); across.cells.len() * up.cells.len()];
+        let mut cells = vec![GridCell::default(); across.cell_bounds.len() * up.cell_bounds.len()];
         for (index, (method, evaluated)) in look.evaluations().iter().enumerate() {
-            let Some(fails) = chosen.of(look, method, evaluated) else { continue };
+            let Some(fails) = chosen.classify(look, method, evaluated) else { continue };
             let at = |side: &GridAxis, coordinate: usize| {
                 let share = evaluated.point.get(coordinate).copied().unwrap_or(0.0);
-                ((share * side.cells.len() as f64) as usize).min(side.cells.len() - 1)
+                ((share * side.cell_bounds.len() as f64) as usize).min(side.cell_bounds.len() - 1)
             };
-            let place = at(&up, y) * across.cells.len() + at(&across, x);
+            let place = at(&up, y) * across.cell_bounds.len() + at(&across, x);
             if let Some(cell) = cells.get_mut(place) {
-                cell.tried += 1;
+                cell.total += 1;
                 cell.failing += usize::from(fails);
                 let robustness = evaluated.verdict.robustness;
                 if cell.worst.is_none_or(|(_, least)| robustness < least) {
@@ -63,30 +63,30 @@ impl FailureGrid {
                 }
             }
         }
-        Some(Self { across, up, cells })
+        Some(Self { x_axis: across, y_axis: up, cells })
     }
 }
 
 impl GridAxis {
-    fn new(name: &str, parameter: &Parameter) -> Self {
+    fn new(name: &str, parameter: &SpaceParameter) -> Self {
         let [low, high] = parameter.range();
-        let is_named = parameter.is_named();
+        let is_named = parameter.has_named_values();
         // Names lie evenly in the cube, one cell each.
-        let count = if is_named { (high - low).round().clamp(1.0, 40.0) as usize + 1 } else { CELLS };
+        let count = if is_named { (high - low).round().clamp(1.0, 40.0) as usize + 1 } else { CELLS_PER_AXIS };
         let value = |share: f64| match is_named {
-            true => parameter.show(parameter.value(share)),
-            false => short(parameter.value(share)),
+            true => parameter.format_value(parameter.value(share)),
+            false => format_3_digits(parameter.value(share)),
         };
         let cell = |index: usize| match is_named {
             true => (value((index as f64 + 0.5) / count as f64), String::new()),
             false => (value(index as f64 / count as f64), value((index + 1) as f64 / count as f64)),
         };
-        Self { name: name.to_owned(), unit: parameter.unit(), cells: (0..count).map(cell).collect(), is_named }
+        Self { name: name.to_owned(), unit: parameter.unit(), cell_bounds: (0..count).map(cell).collect(), is_named }
     }
 
     /// The values of a cell in words.
     pub(crate) fn cell_label(&self, cell: usize) -> String {
-        let Some((from, to)) = self.cells.get(cell) else { return String::new() };
+        let Some((from, to)) = self.cell_bounds.get(cell) else { return String::new() };
         let unit = if self.unit == "1" || self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
         match self.is_named {
             true => format!("{} {from}", self.name),

@@ -7,15 +7,15 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crumple_core::quoted::{Lines, Terminal};
+use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{CampaignError, Evaluated, CampaignReader, MOST_SHOWN};
-use crumple_search::falsify::counterexample::{AvoidabilityClass, Changed};
+use crumple_search::falsify::campaign::{CampaignError, EvaluatedPoint, CampaignReader, MAX_READ_EVALUATIONS};
+use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter};
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
-use crate::error::Refused;
-use grid::Map;
+use crate::error::RequestError;
+use grid::FailureGrid;
 
 /// Failures that are listed.
 const MAX_LISTED: usize = 40;
@@ -84,19 +84,19 @@ pub(crate) struct CampaignView<'a> {
 
 impl CatalogCampaign {
     pub(crate) fn new(name: String, look: CampaignReader) -> Self {
-        Self { name, look: Mutex::new(look) }
+        Self { name, reader: Mutex::new(look) }
     }
 
     /// What is known of it. A reader that panicked has left it as it was.
     pub(crate) fn lock_reader(&self) -> MutexGuard<'_, CampaignReader> {
-        self.look.lock().unwrap_or_else(PoisonError::into_inner)
+        self.reader.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reads on for a moment. Returns whether more is there.
-    pub(crate) fn poll(&self) -> Result<bool, Refused> {
-        let (mut look, until) = (self.look(), Instant::now() + POLL_TIME);
+    pub(crate) fn poll(&self) -> Result<bool, RequestError> {
+        let (mut look, until) = (self.lock_reader(), Instant::now() + POLL_TIME);
         loop {
-            let is_more = look.go_on(AT_ONCE).map_err(failed)?;
+            let is_more = look.poll(BATCH_SIZE).map_err(campaign_error)?;
             if !is_more || Instant::now() >= until {
                 return Ok(is_more);
             }
@@ -105,14 +105,14 @@ impl CatalogCampaign {
 }
 
 /// What cannot be read of a campaign.
-pub(crate) fn campaign_error(error: CampaignError) -> Refused {
-    Refused::Failed(Terminal(&error.to_string()).to_string())
+pub(crate) fn campaign_error(error: CampaignError) -> RequestError {
+    RequestError::Internal(TerminalText(&error.to_string()).to_string())
 }
 
 /// Looks at one campaign, or at two beside each other.
-pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampaign]) -> Result<CampaignResponse, Refused> {
+pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampaign]) -> Result<CampaignResponse, RequestError> {
     let of = |field: &str, index: usize| {
-        offered.get(index).ok_or_else(|| Refused::invalid(field, format!("{} campaigns were offered", offered.len())))
+        offered.get(index).ok_or_else(|| RequestError::invalid(field, format!("{} campaigns were offered", offered.len())))
     };
     let one = of("campaign", request.campaign)?;
     // One beside itself would wait for itself.
@@ -125,14 +125,14 @@ pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampai
     // In one order, whoever asks for which beside which.
     let (first, second) = match other {
         Some(other) if against < Some(request.campaign) => {
-            let other = other.look();
-            (one.look(), Some(other))
+            let other = other.lock_reader();
+            (one.lock_reader(), Some(other))
         }
-        other => (one.look(), other.map(CatalogCampaign::look)),
+        other => (one.lock_reader(), other.map(CatalogCampaign::lock_reader)),
     };
-    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, look: &first }];
+    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, reader: &first }];
     if let (Some(look), Some(index), Some(other)) = (&second, against, other) {
-        shown.push(CampaignView { index, name: &other.name, look });
+        shown.push(CampaignView { index, name: &other.name, reader: look });
     }
     let look: &CampaignReader = &first;
     let coordinates = look.space().coordinate_names();
@@ -141,34 +141,34 @@ pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampai
         Some(name) => coordinates
             .iter()
             .position(|known| known == name)
-            .ok_or_else(|| Refused::invalid(field, "not a parameter of this campaign")),
+            .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
     let (across, up) = (place("across", &request.across, 0)?, place("up", &request.up, 1)?);
-    let kinds = kinds(look);
+    let kinds = failure_kinds(look);
     let chosen = EvaluationFilter { method: request.method.as_deref(), kind: request.kind.as_deref() };
     let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
         div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
             @for one in &shown {
-                @match Map::of(one.look, [&name(across), &name(up)], &chosen) {
-                    Some(map) => (figures::map(one, &map, request.narrow || shown.len() > 1)),
-                    None => p.hint { (Terminal(one.name)) " does not vary both of these." },
+                @match FailureGrid::from_campaign(one.reader, [&name(across), &name(up)], &chosen) {
+                    Some(map) => (figures::failure_grid_figure(one, &map, request.narrow || shown.len() > 1)),
+                    None => p.hint { (TerminalText(one.name)) " does not vary both of these." },
                 }
             }
         }
     };
     Ok(CampaignResponse {
-        running: shown.iter().any(|one| one.look.summary().is_none()),
+        running: shown.iter().any(|one| one.reader.summary().is_none()),
         loading,
-        words: shown.iter().map(words).collect(),
+        summaries: shown.iter().map(summary_line).collect(),
         across: name(across),
         up: name(up),
         methods: look.methods().iter().map(Method::to_string).collect(),
-        best: plain(figures::best(&shown, request.narrow)),
-        front: plain(figures::front(&shown, request.narrow)),
-        maps: plain(maps),
-        distinct: plain(shown.iter().map(distinct).fold(html! {}, |before, next| html! { (before) (next) })),
-        failures: plain(failures(&shown, &chosen)),
+        best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
+        front: escape_markup(figures::pareto_front_figure(&shown, request.narrow)),
+        maps: escape_markup(maps),
+        distinct: escape_markup(shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) })),
+        failures: escape_markup(failures_table(&shown, &chosen)),
         coordinates,
         kinds,
     })
@@ -176,7 +176,7 @@ pub(crate) fn show_campaigns(request: &CampaignRequest, offered: &[CatalogCampai
 
 /// Markup, in which names turn the direction of nothing.
 fn escape_markup(markup: Markup) -> String {
-    Lines(&markup.into_string()).to_string()
+    TerminalLines(&markup.into_string()).to_string()
 }
 
 /// What is looked at.
@@ -187,13 +187,13 @@ pub(crate) struct EvaluationFilter<'a> {
 
 impl EvaluationFilter<'_> {
     /// Whether an evaluation is among it, and whether it fails.
-    fn classify(&self, look: &CampaignReader, method: &Method, evaluated: &Evaluated) -> Option<bool> {
+    fn classify(&self, look: &CampaignReader, method: &Method, evaluated: &EvaluatedPoint) -> Option<bool> {
         if self.method.is_some_and(|wanted| wanted != method.name()) {
             return None;
         }
         let fails = evaluated.verdict.is_violation();
         match self.kind {
-            Some(wanted) if fails => look.kind(evaluated).is_some_and(|kind| kind == wanted).then_some(true),
+            Some(wanted) if fails => look.describe_failure(evaluated).is_some_and(|kind| kind == wanted).then_some(true),
             _ => Some(fails),
         }
     }
@@ -205,7 +205,7 @@ fn failure_kinds(look: &CampaignReader) -> Vec<String> {
         return summary.failures.iter().map(|kind| kind.kind.clone()).collect();
     }
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    for kind in look.evaluations().iter().filter_map(|(_, evaluated)| look.kind(evaluated)) {
+    for kind in look.evaluations().iter().filter_map(|(_, evaluated)| look.describe_failure(evaluated)) {
         *counts.entry(kind).or_default() += 1;
     }
     let mut kinds: Vec<_> = counts.into_iter().collect();
@@ -214,21 +214,21 @@ fn failure_kinds(look: &CampaignReader) -> Vec<String> {
 }
 
 fn summary_line(shown: &CampaignView<'_>) -> String {
-    let CampaignView { name, look, .. } = shown;
-    let (made, all) = (look.evaluations().len(), look.total());
+    let CampaignView { name, reader: look, .. } = shown;
+    let (made, all) = (look.evaluations().len(), look.total_evaluations());
     let failing = look.evaluations().iter().filter(|(_, evaluated)| evaluated.verdict.is_violation()).count();
     let stage = match look.summary() {
         None => format!("running, {made} of {all} evaluations so far, {failing} fail"),
         Some(summary) if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
             format!("complete, {all} evaluations, of which none was kept")
         }
-        Some(_) if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MOST_SHOWN => {
+        Some(_) if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
             format!("complete; of {all} evaluations the first {made} are shown, {failing} of which fail")
         }
         Some(_) => format!("complete, {made} evaluations, {failing} fail"),
     };
     let (controller, space) = (look.controller(), look.space().name());
-    Terminal(&format!(
+    TerminalText(&format!(
         "{name}: {controller} in {space}, {}, estimator {}: {stage}",
         look.specification(),
         look.estimator().name()
@@ -238,24 +238,24 @@ fn summary_line(shown: &CampaignView<'_>) -> String {
 
 /// The distinct failures of a complete campaign.
 fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
-    let Some(summary) = shown.look.summary() else {
-        return html! { p.hint { (Terminal(shown.name)) ": distinct failures are told apart when the search is over." } };
+    let Some(summary) = shown.reader.summary() else {
+        return html! { p.hint { (TerminalText(shown.name)) ": distinct failures are told apart when the search is over." } };
     };
     html! {
-        @if summary.counterexamples.is_empty() { p { (Terminal(shown.name)) ": no failure was found. That is no proof that there is none." } }
+        @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That is no proof that there is none." } }
         @else { div.scroll tabindex="0" { table {
-            caption { (Terminal(shown.name)) ": distinct failures, shrunk, the severest first" }
+            caption { (TerminalText(shown.name)) ": distinct failures, shrunk, the severest first" }
             thead { tr {
                 th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
                 th scope="col" { "avoidable" } th scope="col" { "found by" } th scope="col" { "not nominal" }
             } }
             tbody { @for (place, found) in summary.counterexamples.iter().enumerate() { tr {
-                th scope="row" { a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (Terminal(&found.kind)) } }
-                td.number { (number(found.impact_speed_mps, 1)) }
-                td.number { (number(found.contact_time_s, 2)) }
-                td { (avoidable(found.avoidability.class())) }
+                th scope="row" { a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (TerminalText(&found.kind)) } }
+                td.number { (format_number(found.impact_speed_mps, 1)) }
+                td.number { (format_number(found.contact_time_s, 2)) }
+                td { (avoidability_label(found.avoidability.class())) }
                 td { (found.found_by) " after " (found.found_at) }
-                td { (Terminal(&found.changed.iter().map(changed).collect::<Vec<_>>().join(", "))) }
+                td { (TerminalText(&found.changed.iter().map(changed_parameter).collect::<Vec<_>>().join(", "))) }
             } } }
         } } }
     }
@@ -264,10 +264,10 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
 /// Failing evaluations: the latest while a campaign runs, the severest afterwards.
 fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> Markup {
     let list = |one: &CampaignView<'_>| {
-        let rows = one.look.evaluations().iter().enumerate();
+        let rows = one.reader.evaluations().iter().enumerate();
         let mut failing: Vec<_> =
-            rows.filter(|(_, (method, evaluated))| chosen.of(one.look, method, evaluated) == Some(true)).collect();
-        match one.look.summary() {
+            rows.filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true)).collect();
+        match one.reader.summary() {
             None => failing.reverse(),
             Some(_) => {
                 failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness))
@@ -275,27 +275,27 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
         }
         let all = failing.len();
         failing.truncate(MAX_LISTED);
-        let order = if one.look.summary().is_some() { "severest" } else { "latest" };
+        let order = if one.reader.summary().is_some() { "severest" } else { "latest" };
         html! { @if all > 0 { div.scroll tabindex="0" { table {
-            caption { (Terminal(one.name)) ": " (all) " failing evaluations" @if all > failing.len() { ", the " (failing.len()) " " (order) } }
+            caption { (TerminalText(one.name)) ": " (all) " failing evaluations" @if all > failing.len() { ", the " (failing.len()) " " (order) } }
             thead { tr {
                 th scope="col" { "evaluation" } th scope="col" { "what happens" } th.number scope="col" { "impact (m/s)" }
                 th.number scope="col" { "at (s)" } th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
             } }
             tbody { @for (index, (method, evaluated)) in &failing { tr {
                 th scope="row" { a href={ "./?campaign=" (one.index) "&evaluation=" (index) } { (method.name()) " " (evaluated.number) } }
-                td { (Terminal(&one.look.kind(evaluated).unwrap_or_default())) }
-                td.number { (number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
-                td.number { (number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
-                td.number { (number(Some(evaluated.verdict.robustness), 2)) }
-                td.number { (number(Some(evaluated.ln_likelihood), 2)) }
+                td { (TerminalText(&one.reader.describe_failure(evaluated).unwrap_or_default())) }
+                td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
+                td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
+                td.number { (format_number(Some(evaluated.verdict.robustness), 2)) }
+                td.number { (format_number(Some(evaluated.ln_likelihood), 2)) }
             } } }
-        } } } @else { p.hint { (Terminal(one.name)) ": no evaluation fails among these." } } }
+        } } } @else { p.hint { (TerminalText(one.name)) ": no evaluation fails among these." } } }
     };
     html! { @for one in shown { (list(one)) } }
 }
 
-fn changed_parameter(changed: &Changed) -> String {
+fn changed_parameter(changed: &ChangedParameter) -> String {
     let unit = if changed.unit == "1" { "" } else { changed.unit.as_str() };
     format!("{} {} {unit}", changed.parameter, changed.value).trim_end().to_owned()
 }
@@ -310,5 +310,5 @@ fn avoidability_label(class: AvoidabilityClass) -> &'static str {
 }
 
 fn format_number(value: Option<f64>, digits: usize) -> String {
-    value.map_or("–".to_owned(), |value| crumple_report::draw::signed(value, digits))
+    value.map_or("–".to_owned(), |value| crumple_report::draw::format_number(value, digits))
 }
