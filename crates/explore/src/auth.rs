@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use hyper::header::{HOST_PROGRAM, HeaderMap, HeaderName, ORIGIN};
+use hyper::header::{HOST, HeaderMap, HeaderName, ORIGIN};
 
 use crate::error::RequestError;
 
@@ -45,7 +45,7 @@ impl RequestAuth {
             headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default()).collect::<Vec<_>>()
         };
         let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
-        if !matches!(all(&HOST_PROGRAM)[..], [host] if is_own(host)) {
+        if !matches!(all(&HOST)[..], [host] if is_own(host)) {
             return Err(RequestError::Forbidden("this is another host's name: use the address that was printed"));
         }
         let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);

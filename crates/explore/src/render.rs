@@ -152,7 +152,7 @@ fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, SimulationRe
     let drawn = html! {
         @for (index, (controller, run)) in runs.iter().enumerate() {
             @if let Some(trace) = &run.trace {
-                (simulate_failures::draw_animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
+                (draw::draw_animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
             }
         }
     };

@@ -124,9 +124,9 @@ impl Server {
         let mut interrupt: Interrupt = Box::pin(tokio::signal::ctrl_c());
         // The first poll sets the handler: who has read the address may interrupt at once.
         let interrupt: Interrupt =
-            match runtime.block_on(poll_fn(|context| Poll::ResetReply(interrupt.as_mut().poll(context)))) {
-                Poll::ResetReply(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
-                Poll::PendingChange => interrupt,
+            match runtime.block_on(poll_fn(|context| Poll::Ready(interrupt.as_mut().poll(context)))) {
+                Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
+                Poll::Pending => interrupt,
             };
         let application = Arc::new(Application::new(gate, offer));
         Ok(Self { listener, port, application, runtime, interrupt, read_timeout: READ_TIMEOUT })

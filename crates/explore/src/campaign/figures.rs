@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, cells,
-    extent, draw_legend, draw_marker, pad_interval, format_number, text_width, description,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, PixelRect, HEADING_HEIGHT, Ink, LegendEntry, LEFT_MARGIN, Marker, Panel, SMALL_TEXT_SIZE, Stroke, Svg, draw_cells,
+    extent, draw_legend, draw_marker, pad_interval, format_number, text_width, draw_text,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
@@ -160,25 +160,25 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
     let prefix = format!("map-{}", shown.index);
     let title = format!("{} over {}", map.y_axis.title(), map.x_axis.title());
     let content = html! {
-        (summary_line((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
-        (summary_line((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.y_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
-        (cells(CellStyle::Blank, of(|cell| cell.total > 0 && cell.failing == 0)))
-        (cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.total)))
+        (draw_text((4.0, 15.0), Anchor::Start, shown.name, SMALL_TEXT_SIZE + 1.0, Ink::Text, false))
+        (draw_text((4.0, 32.0), Anchor::Start, &format!("↑ {}", map.y_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        (draw_cells(CellStyle::Blank, of(|cell| cell.total > 0 && cell.failing == 0)))
+        (draw_cells(CellStyle::Crossed, of(|cell| cell.failing > 0 && cell.failing < cell.total)))
         @for (index, cell) in map.cells.iter().enumerate().filter(|(_, cell)| cell.failing > 0 && cell.failing == cell.total) {
             @let PixelRect { left, top, width, height } = cell_frame(index);
             rect x=(px(left)) y=(px(top)) width=(px(width)) height=(px(height)) fill=(Ink::Alert.hex()) fill-opacity="0.5" {}
-            (summary_line((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
+            (draw_text((left + width / 2.0, top + height / 2.0 + 4.0), Anchor::Middle, &cell.failing.to_string(), SMALL_TEXT_SIZE, Ink::Text, false))
         }
         rect x=(px(frame.left)) y=(px(frame.top)) width=(px(frame.width)) height=(px(frame.height)) fill="none" stroke=(Ink::Axis.hex()) {}
         @for (index, (from, _)) in map.y_axis.cell_bounds.iter().enumerate() {
             @let y = frame.bottom() - (index as f64 + if map.y_axis.is_named { 0.5 } else { 0.0 }) * CELL_HEIGHT + 4.0;
-            (summary_line((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
+            (draw_text((left - 5.0, y), Anchor::End, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
         @for (index, (from, _)) in map.x_axis.cell_bounds.iter().enumerate().filter(|(index, _)| map.x_axis.is_named || index % 3 == 0) {
             @let x = frame.left + (index as f64 + if map.x_axis.is_named { 0.5 } else { 0.0 }) * wide;
-            (summary_line((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
+            (draw_text((x, frame.bottom() + 15.0), Anchor::Middle, from, SMALL_TEXT_SIZE, Ink::Text, false))
         }
-        (summary_line((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.x_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
+        (draw_text((frame.right(), frame.bottom() + 31.0), Anchor::End, &format!("{} →", map.x_axis.title()), SMALL_TEXT_SIZE, Ink::Muted, false))
         @for (index, cell) in map.cells.iter().enumerate() {
             @if let Some((worst, robustness)) = cell.worst {
                 @let PixelRect { left, top, width, height } = cell_frame(index);
