@@ -54,29 +54,29 @@ pub use crumple_suites as suites;
 pub use crumple_verify as verify;
 pub use crumple_world as world;
 
-pub use crumple_core::observer::{Listener, Observer, Progress, Quiet, Stopped};
+pub use crumple_core::observer::{Listener, Observer, RunProgress, Quiet, Stopped};
 pub use crumple_evidence::{
-    CountProgress, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan, Tally,
+    CountProgress, InvalidRate, RateConfig, RateCount, RateError, RateFolderError, RatePlan, CountTally,
 };
-pub use crumple_learn::rl::{Event, EvaluationSet, Trainer, TrainingConfig, TrainingError, train};
+pub use crumple_learn::rl::{TrainingEvent, EvaluationSet, Trainer, TrainingConfig, TrainingError, train};
 pub use crumple_report::assessment::{
-    AssessConfig, AssessError, Assessment, AssessmentPlan, ConfigError, Earlier, Store, assess,
+    AssessConfig, AssessError, AssessmentReport, AssessmentPlan, AssessConfigError, EarlierAssessment, EvidenceCache, assess,
 };
 pub use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, Summary,
+    SearchObjective, Campaign, CampaignError, CampaignOptions, CampaignProgress, EvaluationLog, CampaignSummary,
 };
-pub use crumple_search::falsify::{FailureCriterion, UnitCube, CustomMethod, InvalidMethodName, Method, Search};
+pub use crumple_search::falsify::{FailureCriterion, UnitCube, CustomMethod, InvalidMethodName, Method, SearchAlgorithm};
 pub use crumple_search::worst_case::{
-    Aim as AttackAim, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
+    AttackObjective as AttackAim, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
     Envelope, attack, avoid,
 };
-pub use crumple_verify::{Accepted, Certificate, Rejection, WorkLimit, check, check_with};
+pub use crumple_verify::{ProvedClaim, Certificate, Rejection, WorkLimit, check, check_with};
 pub use crumple_world::control::{Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 pub use crumple_world::measure::{Specification, SpecificationError};
 pub use crumple_world::observation::{EstimatorKind, Observation};
-pub use crumple_world::scenario::space::{Space, built_in_space};
-pub use crumple_world::scenario::{InvalidField, Scenario, built_in};
+pub use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
+pub use crumple_world::scenario::{InvalidField, Scenario, built_in_scenario};
 pub use crumple_world::sim::{
-    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, Simulated, Trace, simulate,
+    Contact, NamedController, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, simulate,
     simulate_batch,
 };

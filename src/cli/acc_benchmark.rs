@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use crumple_evidence::{CruisePlan, Proved, Sampled};
-use crumple_verify::{Accepted, WorkLimit, check_with};
+use crumple_evidence::{CruisePlan, CruiseProof, CruiseSamples};
+use crumple_verify::{ProvedClaim, WorkLimit, check_with};
 use crumple_world::network::NetworkFile;
 
-use super::simulate::Format;
-use super::{Failure, output, reach};
+use super::simulate::OutputFormat;
+use super::{CliError, output, reach};
 
 /// Proves of a network that it keeps its distance: ARCH-COMP AINNCS, adaptive cruise control
 #[derive(Args)]
@@ -28,7 +28,7 @@ pub(super) struct AccBenchmark {
     #[arg(long, value_name = "F")]
     network: PathBuf,
     /// How many parts D_rel at the start is cut in: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = CELLS, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_CELLS, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     cells: u32,
     /// Random starts that are simulated beside it, besides the corners of the box: 1 to 10 000 000
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
@@ -41,32 +41,32 @@ pub(super) struct AccBenchmark {
     certificate: Option<PathBuf>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What is worth its time.
 const DEFAULT_CELLS: u32 = 16;
 
 /// A network as the benchmark sees it.
-pub(super) fn load_network(path: &Path) -> Result<CruisePlan, Failure> {
-    let file = NetworkFile::load(path).map_err(Failure::input)?;
-    CruisePlan::new(file).map_err(|error| Failure::Input(format!("{}: {error}", path.display())))
+pub(super) fn load_network(path: &Path) -> Result<CruisePlan, CliError> {
+    let file = NetworkFile::load(path).map_err(CliError::input)?;
+    CruisePlan::new(file).map_err(|error| CliError::Input(format!("{}: {error}", path.display())))
 }
 
 impl AccBenchmark {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let place = self.network.display();
-        let failed = |error| Failure::Input(format!("{place}: {error}"));
-        let plan = network(&self.network)?;
+        let failed = |error| CliError::Input(format!("{place}: {error}"));
+        let plan = load_network(&self.network)?;
         let shape = plan.shape();
         let proved = plan.prove(self.cells).map_err(failed)?;
         let begin = Instant::now();
-        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::NONE)
-            .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
+        let accepted = check_with(&proved.certificate, Some(plan.network_bytes()), WorkLimit::UNLIMITED)
+            .map_err(|rejection| CliError::Gate(format!("not shown: {rejection}")))?;
         let checked_s = begin.elapsed().as_secs_f64();
         let sampled = plan.sample(self.samples as usize, self.seed);
         if let Some(path) = &self.certificate {
-            reach::keep(path, &proved.certificate, plan.network_bytes())?;
+            reach::write_certificate(path, &proved.certificate, plan.network_bytes())?;
         }
         let result = serde_json::json!({
             "network": place.to_string(), "shape": shape, "cells": self.cells,
@@ -78,12 +78,12 @@ impl AccBenchmark {
         let gate = if proved.margin_m >= 0.0 {
             Ok(())
         } else {
-            Err(Failure::Gate("it is not shown that the distance is kept".to_owned()))
+            Err(CliError::Gate("it is not shown that the distance is kept".to_owned()))
         };
-        Failure::gate_first(gate, printed)
+        CliError::gate_first(gate, printed)
     }
 
-    fn text(&self, shape: &str, proved: &Proved, (accepted, checked_s): (&Accepted, f64), sampled: &Sampled) -> String {
+    fn text(&self, shape: &str, proved: &CruiseProof, (accepted, checked_s): (&ProvedClaim, f64), sampled: &CruiseSamples) -> String {
         let width = |[low, high]: [f64; 2]| high - low;
         // Bounds rounded to the side on which they hold.
         let down = |value: f64| (100.0 * value).floor() / 100.0;

@@ -4,24 +4,24 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use super::{Failure, output};
+use super::{CliError, output};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{Space, find_space};
-use crumple_world::scenario::{Driver, Scenario, built_in, built_in_names, file};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, Simulated, simulate};
+use crumple_world::scenario::space::{ScenarioSpace, find_space};
+use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
+use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 
 /// A built-in scenario, or the one in a file.
-pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, Failure> {
-    if let Some(scenario) = built_in(name_or_path) {
+pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
+    if let Some(scenario) = built_in_scenario(name_or_path) {
         return Ok(scenario);
     }
     let path = Path::new(name_or_path);
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
-        return Err(Failure::Input(format!(
+        let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
+        return Err(CliError::Input(format!(
             "`{name_or_path}` is neither a built-in scenario ({}) nor a file",
             known.join(", ")
         )));
@@ -34,7 +34,7 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, Failure> {
             && let Some(controller) = driver.controller()
         {
             let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
-            let said = |error| Failure::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
+            let said = |error| CliError::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
             named.try_start().map_err(said)?;
         }
     }
@@ -51,8 +51,8 @@ pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Resul
 }
 
 /// Reads a specification of runs like `nominal`, and warns where a formula is judged at the first instant only.
-pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, Failure> {
-    let read = Specification::parse(text, nominal).map_err(|error| Failure::Input(format!("--spec: {error}")))?;
+pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -> Result<Specification, CliError> {
+    let read = Specification::parse(text, nominal).map_err(|error| CliError::Input(format!("--spec: {error}")))?;
     if let Some(warning) = read.warning() {
         output::note(&format!("warning: --spec: {warning}"), quiet);
     }
@@ -60,7 +60,7 @@ pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -
 }
 
 /// A built-in space, or the one in a file, for clap; with the name it was asked for by.
-pub(super) fn parse_space(name_or_path: &str) -> Result<(String, Space), String> {
+pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), String> {
     if name_or_path.trim().is_empty() {
         return Err("no space is named".to_owned());
     }
@@ -80,13 +80,13 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
 
 /// A policy of crumple's own, for clap.
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
-    if NetworkFile::is_one(Path::new(name)) {
+    if NetworkFile::is_network(Path::new(name)) {
         return Err(
             "is a network from outside: policies that can be trained on are crumple's own, which `crumple train` makes"
                 .to_owned(),
         );
     }
-    controller(name)
+    parse_controller(name)
 }
 
 /// Controllers that arguments name. Their programs start only after all arguments are read.
@@ -95,24 +95,24 @@ static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 /// What may be wrong with a controller, a line each.
 pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<Item = String> {
     let name = controller.name.clone();
-    controller.kind.doubts().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
+    controller.kind.warnings().into_iter().map(move |doubt| format!("note: {name}: {doubt}"))
 }
 
 /// Starts the program of each controller that an argument names, once as a trial, and prints notes on the controllers.
 ///
 /// # Errors
 /// [`Failure::Input`] for a program that does not start or does not introduce itself.
-pub(super) fn try_controllers(quiet: bool) -> Result<(), Failure> {
+pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
     let named = std::mem::take(&mut *NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner));
     for controller in &named {
-        controller.try_start().map_err(|error| Failure::Input(format!("controller `{}`: {error}", controller.name)))?;
+        controller.try_start().map_err(|error| CliError::Input(format!("controller `{}`: {error}", controller.name)))?;
     }
-    named.iter().flat_map(of_controller).for_each(|note| output::note(&note, quiet));
+    named.iter().flat_map(controller_notes).for_each(|note| output::note(&note, quiet));
     Ok(())
 }
 
 /// What a scenario of scripts and fixed drivers does.
-pub(super) fn replay(scenario: &Scenario) -> Result<Simulated, Failure> {
+pub(super) fn replay(scenario: &Scenario) -> Result<SimulationResult, CliError> {
     let run = Run::new(
         scenario,
         RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth),

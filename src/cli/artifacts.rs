@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::Failure;
+use super::CliError;
 use super::output;
-use super::simulate::{self, Format};
-use crumple_store::disk::Files;
+use super::simulate::{self, OutputFormat};
+use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::Simulated;
+use crumple_world::sim::SimulationResult;
 
 /// Where a finding goes.
 #[derive(Args)]
@@ -19,11 +19,11 @@ pub(super) struct ArtifactArgs {
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
     /// Draw it; a file there is replaced
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 impl ArtifactArgs {
@@ -32,16 +32,16 @@ impl ArtifactArgs {
         &self,
         scenario: &Scenario,
         driver: &str,
-        files: &mut Files,
-        replay: impl FnOnce() -> Result<Simulated, Failure>,
-    ) -> Result<(), Failure> {
+        files: &mut StagedFiles,
+        replay: impl FnOnce() -> Result<SimulationResult, CliError>,
+    ) -> Result<(), CliError> {
         if let Some(path) = &self.out {
-            files.stage(&output::place(path)?, file::to_toml(scenario).map_err(Failure::input)?.as_bytes())?;
+            files.stage(&output::resolve_output_path(path)?, file::to_toml(scenario).map_err(CliError::input)?.as_bytes())?;
         }
         if let Some(path) = &self.plot {
             let run = replay()?;
             if let Some(trace) = &run.trace {
-                files.stage(&output::place(path)?, &simulate::picture(path, scenario, driver, trace, &run.impacts)?)?;
+                files.stage(&output::resolve_output_path(path)?, &simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?)?;
             }
         }
         Ok(())
@@ -55,7 +55,7 @@ impl ArtifactArgs {
     }
 
     /// Prints a report, in words or as one JSON object.
-    pub(super) fn print_report<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), Failure> {
+    pub(super) fn print_report<R: Serialize>(&self, report: &R, describe: impl FnOnce(&R) -> String) -> Result<(), CliError> {
         output::print_result(self.format, report, || describe(report))
     }
 }

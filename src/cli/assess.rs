@@ -9,15 +9,15 @@ use serde::Serialize;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::Format;
-use super::{Failure, interrupt, progress, subject, utc};
+use super::simulate::OutputFormat;
+use super::{CliError, interrupt, progress, args, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, ComparisonError, Earlier, REPORT_FOLDERS, Made, MergedEvidence, REPORT, Store, assess, gather_shard,
+    AssessmentPlan, ComparisonError, EarlierAssessment, REPORT_FOLDERS, BuildInfo, MergedEvidence, REPORT_KIND, EvidenceCache, assess, gather_shard,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
-use crumple_store::shard::{MissingShards, Shard};
-use crumple_store::work;
+use crumple_store::shard::{MissingShards, ShardId};
+use crumple_store::run_folder;
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -74,10 +74,10 @@ pub(super) struct Assess {
     /// Gather shard I of N of the evidence only, N at most the number of its pieces, and write no report: `crumple merge` puts it together
     /// where `assess` finds it; interrupted, the same command goes on
     #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     /// How to print: the first page in words, or the summary that is in assessment.json
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// The folder in a report's in which evidence is kept for the next one.
@@ -86,12 +86,12 @@ pub(super) const EVIDENCE_FOLDER: &str = "evidence";
 pub(super) const LISTING_FILE: &str = "report.sha256";
 
 impl Assess {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let plan = match &self.config {
             None => AssessmentPlan::built_in(),
             Some(path) => {
                 let plan = AssessmentPlan::load(path)?;
-                let doubts = plan.controllers().iter().flat_map(args::of_controller);
+                let doubts = plan.controllers().iter().flat_map(args::controller_notes);
                 doubts.for_each(|doubt| output::note(&doubt, quiet));
                 plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
@@ -100,26 +100,26 @@ impl Assess {
         if let Some(shard) = self.shard {
             return self.gather(&plan, shard, quiet);
         }
-        let against = self.against.as_deref().map(Earlier::load).transpose()?;
+        let against = self.against.as_deref().map(EarlierAssessment::load).transpose()?;
         if against.is_none() && plan.needs_earlier_assessment() {
-            return Err(Failure::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
+            return Err(CliError::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-        let kept = self.out.join(EVIDENCE);
+        let kept = self.out.join(EVIDENCE_FOLDER);
         let again = if self.fresh { "the same command without --fresh goes on" } else { "the same command goes on" };
-        interrupt::says(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
+        interrupt::set_exit_message(format!("what is gathered is kept in {}: {again}", kept.display()), quiet);
         let (identity, begun) = (program::identity()?, Instant::now());
         check_no_symlinks(&self.out)?;
-        if let Some(kind) = work::read_kind(&self.out).filter(|kind| kind != REPORT) {
-            return Err(Failure::Input(format!(
+        if let Some(kind) = run_folder::read_kind(&self.out).filter(|kind| kind != REPORT_KIND) {
+            return Err(CliError::Input(format!(
                 "--out: {} holds a {kind}, whose work.json a report would replace",
                 self.out.display()
             )));
         }
         // Reports of earlier builds have no listing, but a manifest.
-        let folder = OutputFolder::listed(&self.out, LISTING_FILE)?.knowing(work::read_digests(&self.out, REPORT));
+        let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?.with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
-        let store = Store::open(&kept, identity, self.fresh)?;
+        let store = EvidenceCache::open(&kept, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
             let note = format!(
                 "note: `{}` states no identity, so nothing of this assessment is kept for the next",
@@ -127,22 +127,22 @@ impl Assess {
             );
             output::note(&note, quiet);
         }
-        let bar = progress::bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &store, against.as_ref(), &progress::advance(&bar))?;
-        let assessment = assessment.made(made(source, identity, begun.elapsed()));
+        let bar = progress::run_bar("assessing", plan.runs(), quiet);
+        let assessment = assess(&plan, &store, against.as_ref(), &progress::bar_observer(&bar))?;
+        let assessment = assessment.with_build_info(build_info(source, identity, begun.elapsed()));
         bar.finish_and_clear();
-        folder.write(&assessment.files().map_err(Failure::input)?, EarlierFiles::Go)?;
-        let (pieces, reused) = store.reused();
+        folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
+        let (pieces, reused) = store.reuse_counts();
         let again =
             if reused == 0 { String::new() } else { format!("; {reused} of {pieces} pieces of evidence were there") };
-        for path in store.damaged() {
+        for path in store.damaged_files() {
             output::note(&format!("{} was damaged, and gathered again", path.display()), quiet);
         }
         let page = self.out.join("assessment.html");
         output::note(&format!("wrote {} (and .md, .json, .junit.xml, .gsn.yaml){again}", page.display()), quiet);
-        let mut said = assessment.first_page.plain();
+        let mut said = assessment.first_page.to_plain_text();
         if let Some(comparison) = &assessment.comparison {
-            said += &format!("{}\n", comparison.words());
+            said += &format!("{}\n", comparison.describe());
         }
         said += &assessment.first_page.gates_to_plain_text();
         let failed: Vec<_> = assessment.summary.gates.iter().filter(|gate| !gate.holds).collect();
@@ -151,19 +151,19 @@ impl Assess {
             [] => Ok(()),
             gates => {
                 let lines: Vec<_> = gates.iter().map(|gate| format!("{} ({})", gate.gate, gate.because)).collect();
-                Err(Failure::Gate(lines.join("; ")))
+                Err(CliError::Gate(lines.join("; ")))
             }
         };
-        Failure::gate_first(gate, printed)
+        CliError::gate_first(gate, printed)
     }
 }
 
 impl Assess {
-    fn gather(&self, plan: &AssessmentPlan, shard: Shard, quiet: bool) -> Result<(), Failure> {
+    fn gather(&self, plan: &AssessmentPlan, shard: ShardId, quiet: bool) -> Result<(), CliError> {
         let out = self.out.display();
-        interrupt::says(format!("what is gathered is kept in {out}: the same command goes on"), quiet);
+        interrupt::set_exit_message(format!("what is gathered is kept in {out}: the same command goes on"), quiet);
         let bar = progress::counter("gathering evidence", quiet);
-        let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::advance(&bar));
+        let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         let pieces = gathered?;
         let said = "`crumple merge` puts it together with the others";
@@ -178,21 +178,21 @@ impl Assess {
 struct EvidenceShardReport {
     pieces: u64,
     folder: String,
-    shard: Shard,
+    shard: ShardId,
 }
 
 /// Puts the evidence of shards where an assessment finds it. What is missing ends with exit code 1.
-pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: OutputFormat) -> Result<(), CliError> {
     check_no_symlinks(out)?;
-    let folder = out.join(EVIDENCE);
-    let pieces = merged.write_in(&folder)?;
-    let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing());
+    let folder = out.join(EVIDENCE_FOLDER);
+    let pieces = merged.write_to_cache(&folder)?;
+    let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing_tasks());
     let shards = merged.missing_shards();
     let gate = match missing.is_empty() {
         true => Ok(()),
         false => {
             let missing = missing.join(", ");
-            Err(Failure::Gate(format!("evidence is missing{shards}, and `assess` would gather it: {missing}")))
+            Err(CliError::Gate(format!("evidence is missing{shards}, and `assess` would gather it: {missing}")))
         }
     };
     let folder = folder.display().to_string();
@@ -202,7 +202,7 @@ pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: Format) -> Resu
     };
     let words = format!("{pieces} pieces of evidence in {folder}: {how} writes the report\n");
     let merged = MergedEvidenceReport { pieces, folder, is_of_this_build, missing, shards };
-    Failure::gate_first(gate, output::print_result(format, &merged, || words))
+    CliError::gate_first(gate, output::print_result(format, &merged, || words))
 }
 
 /// What shards of an assessment come to, for programs.
@@ -220,22 +220,22 @@ struct MergedEvidenceReport {
 }
 
 /// Refuses a report's folder in which folders lead elsewhere: a report writes into them and removes from them what is its own.
-fn check_no_symlinks(out: &Path) -> Result<(), Failure> {
-    REPORT_FOLDERS.into_iter().chain([EVIDENCE, "figures"]).try_for_each(|name| is_own(&out.join(name.trim_end_matches('/'))))
+fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
+    REPORT_FOLDERS.into_iter().chain([EVIDENCE_FOLDER, "figures"]).try_for_each(|name| ensure_no_symlinks(&out.join(name.trim_end_matches('/'))))
 }
 
 /// Whether neither a folder nor any below it leads elsewhere. What is no folder is of no interest.
-fn ensure_no_symlinks(folder: &Path) -> Result<(), Failure> {
+fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
     if folder.is_symlink() && !folder.is_file() {
         return Err(symlink_error(folder));
     }
     let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
-    entries.flatten().try_for_each(|entry| is_own(&entry.path()))
+    entries.flatten().try_for_each(|entry| ensure_no_symlinks(&entry.path()))
 }
 
-fn symlink_error(folder: &Path) -> Failure {
+fn symlink_error(folder: &Path) -> CliError {
     let problem = "is a symbolic link: a report writes and removes files there, and only in its own folder";
-    Failure::Input(format!("{}: {problem}", folder.display()))
+    CliError::Input(format!("{}: {problem}", folder.display()))
 }
 
 /// The commit of the repository that holds what is assessed, marked if files differ from it; none without a repository.
@@ -261,26 +261,26 @@ fn git_commit(folder: &Path) -> Option<String> {
 }
 
 /// When and where.
-fn build_info(folder: &Path, program_sha256: &str, took: Duration) -> Made {
+fn build_info(folder: &Path, program_sha256: &str, took: Duration) -> BuildInfo {
     let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;
         Some(format!(", {}", line.split_once(':')?.1.trim()))
     });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let (system, processor) = (std::env::consts::OS, std::env::consts::ARCH);
-    Made {
+    BuildInfo {
         at: utc::rfc_3339(SystemTime::now()),
-        commit: commit(folder),
+        commit: git_commit(folder),
         program_sha256: program_sha256.to_owned(),
         machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
         duration_s: took.as_secs(),
     }
 }
 
-impl From<ComparisonError> for Failure {
+impl From<ComparisonError> for CliError {
     fn from(error: ComparisonError) -> Self {
         match error {
-            ComparisonError::Read { path, source } => Self::unreadable(path, source),
+            ComparisonError::Read { path, source } => Self::from_read_error(path, source),
             other => Self::input(other),
         }
     }

@@ -7,15 +7,15 @@ use clap::Args;
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::artifacts::Finding;
+use super::artifacts::ArtifactArgs;
 use super::output;
-use super::{Failure, choice, subject};
-use crumple_core::quoted::Terminal;
+use super::{CliError, value_enums, args};
+use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, Family, FoundBy,
-    Optimality, Ranges, Reason, avoid_all, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, ScenarioBox, FoundBy,
+    Optimality, ScenarioRanges, UndecidedReason, avoid_box, certify,
 };
-use crumple_store::disk::Files;
+use crumple_store::disk::StagedFiles;
 use crumple_world::scenario::{Scenario, file};
 
 /// Say whether anyone could have avoided a collision: by an escape, or by a proof that there is none
@@ -67,7 +67,7 @@ pub(super) struct Avoid {
     #[arg(long, value_name = "F.json")]
     bound_certificate: Option<PathBuf>,
     #[command(flatten)]
-    finding: Finding,
+    finding: ArtifactArgs,
 }
 
 /// What `--format json` prints.
@@ -91,60 +91,60 @@ struct AvoidReport<'a> {
     programs: usize,
     /// Profiles simulated with every other driver in the loop.
     simulations: usize,
-    reason: Option<&'a Reason>,
+    reason: Option<&'a UndecidedReason>,
 }
 
 impl Avoid {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let family = self.family()?;
         let options =
             AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true, ..AvoidOptions::default() };
-        let avoidance = avoid_all(&family, options).map_err(|error| match error {
-            AvoidError::Grid { .. } => Failure::Input(format!("--grid: {error}")),
-            other => Failure::Input(format!("{}: {other}", self.scenario)),
+        let avoidance = avoid_box(&family, options).map_err(|error| match error {
+            AvoidError::Grid { .. } => CliError::Input(format!("--grid: {error}")),
+            other => CliError::Input(format!("{}: {other}", self.scenario)),
         })?;
-        let mut files = Files::default();
+        let mut files = StagedFiles::default();
         self.stage_certificates(&family, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
-                self.finding.write(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
+                self.finding.stage(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
             }
             None => self.finding.note_nothing_to_write("there is no escape", quiet),
         }
         files.commit()?;
-        self.finding.print(&self.report(family.centre(), &avoidance), describe)
+        self.finding.print_report(&self.report(family.centre(), &avoidance), describe)
     }
 
-    fn family(&self) -> Result<Family, Failure> {
-        let scenario = args::scenario(&self.scenario)?;
-        let Some(path) = &self.ranges else { return Ok(Family::point(&scenario)) };
+    fn family(&self) -> Result<ScenarioBox, CliError> {
+        let scenario = args::load_scenario(&self.scenario)?;
+        let Some(path) = &self.ranges else { return Ok(ScenarioBox::point(&scenario)) };
         let text = file::read(path)?;
-        let ranges: Ranges = file::parse_toml(&text, path)?;
-        Family::new(&scenario, &ranges).map_err(|error| {
-            let place = error.place(&ranges);
+        let ranges: ScenarioRanges = file::parse_toml(&text, path)?;
+        ScenarioBox::new(&scenario, &ranges).map_err(|error| {
+            let place = error.field_location(&ranges);
             let line = file::line_in_toml(&text, &place);
-            Failure::Input(format!("{}:{line}: {place}: {error}", path.display()))
+            CliError::Input(format!("{}:{line}: {place}: {error}", path.display()))
         })
     }
 
-    fn stage_certificates(&self, family: &Family, avoidance: &Avoidance, files: &mut Files) -> Result<(), Failure> {
+    fn stage_certificates(&self, family: &ScenarioBox, avoidance: &Avoidance, files: &mut StagedFiles) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            stage(path, answer(family, avoidance).map_err(|reason| reason.to_string()), files)?;
+            stage_certificate(path, verdict_certificate(family, avoidance).map_err(|reason| reason.to_string()), files)?;
         }
         if let Some(path) = &self.bound_certificate {
             let certificate = avoidance.bound_certificate.as_deref().cloned();
-            stage(path, certificate.ok_or_else(|| "no bound was shown of an escape".to_owned()), files)?;
+            stage_certificate(path, certificate.ok_or_else(|| "no bound was shown of an escape".to_owned()), files)?;
         }
         Ok(())
     }
 
-    fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> Report<'a> {
+    fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'a> {
         let escape = avoidance.verdict.escape();
         let reason = match &avoidance.verdict {
             AvoidanceVerdict::Undecided(reason) => Some(reason),
             AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
         };
-        Report {
+        AvoidReport {
             scenario: &scenario.spec().name,
             verdict: avoidance.verdict.name(),
             best_min_gap_m: avoidance.best_min_gap_m,
@@ -155,7 +155,7 @@ impl Avoid {
             trigger_time_s: escape.and_then(Escape::trigger_time_s),
             emergency_brake_fires: escape.and_then(|escape| match escape.emergency_brake {
                 EmergencyBrake::Fires { .. } => Some(true),
-                EmergencyBrake::Silent => Some(false),
+                EmergencyBrake::NeverFires => Some(false),
                 _ => None,
             }),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
@@ -178,7 +178,7 @@ impl Avoid {
 }
 
 /// The certificate of the verdict.
-fn verdict_certificate(family: &Family, avoidance: &Avoidance) -> Result<Certificate, Reason> {
+fn verdict_certificate(family: &ScenarioBox, avoidance: &Avoidance) -> Result<Certificate, UndecidedReason> {
     match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
         AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
@@ -186,11 +186,11 @@ fn verdict_certificate(family: &Family, avoidance: &Avoidance) -> Result<Certifi
     }
 }
 
-fn stage_certificate(path: &Path, certificate: Result<Certificate, String>, files: &mut Files) -> Result<(), Failure> {
+fn stage_certificate(path: &Path, certificate: Result<Certificate, String>, files: &mut StagedFiles) -> Result<(), CliError> {
     match certificate {
         Ok(certificate) => {
-            let text = serde_json::to_string(&certificate).map_err(Failure::input)? + "\n";
-            files.stage(&output::place(path)?, text)?;
+            let text = serde_json::to_string(&certificate).map_err(CliError::input)? + "\n";
+            files.stage(&output::resolve_output_path(path)?, text)?;
         }
         // Asked for and not written: that is said even where only errors are wanted.
         Err(reason) => output::note(
@@ -201,9 +201,9 @@ fn stage_certificate(path: &Path, certificate: Result<Certificate, String>, file
     Ok(())
 }
 
-fn describe(report: &Report<'_>) -> String {
-    let Report { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
-    let mut text = format!("{}: {verdict}\n", Terminal(scenario));
+fn describe(report: &AvoidReport<'_>) -> String {
+    let AvoidReport { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
+    let mut text = format!("{}: {verdict}\n", TerminalText(scenario));
     // Writing to a string cannot fail.
     if let Some(gap_m) = escape_min_gap_m {
         let is_largest = report.best_min_gap_m == Some(*gap_m);

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::acc_benchmark::Cruise;
-use super::simulate::Format;
-use super::{Failure, output};
+use super::acc_benchmark::AccBenchmark;
+use super::simulate::OutputFormat;
+use super::{CliError, output};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
-use crumple_store::disk::{DiskError, Files};
+use crumple_store::disk::{DiskError, StagedFiles};
 
 /// Measure it on a public problem: the search, or what is proved of a network
 #[derive(Args)]
@@ -22,7 +22,7 @@ pub(super) struct BenchmarkCommand {
 #[derive(Subcommand)]
 enum BenchmarkSubcommand {
     ChasingCars(ChasingCars),
-    Acc(Cruise),
+    Acc(AccBenchmark),
 }
 
 /// How good is a search method? ARCH-COMP falsification, Chasing Cars, instance 2
@@ -50,11 +50,11 @@ struct ChasingCars {
     out: Option<PathBuf>,
     /// How to print; JSON also holds every run and its counterexample
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 impl BenchmarkCommand {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         match self.problem {
             BenchmarkSubcommand::ChasingCars(cars) => cars.run(quiet),
             BenchmarkSubcommand::Acc(cruise) => cruise.run(),
@@ -63,23 +63,23 @@ impl BenchmarkCommand {
 }
 
 impl ChasingCars {
-    fn run(self, quiet: bool) -> Result<(), Failure> {
+    fn run(self, quiet: bool) -> Result<(), CliError> {
         if let Some(folder) = &self.out {
             check_empty(folder)?;
         }
         let (budget, seeds) = (self.budget as usize, self.seeds as usize);
-        let measured = benchmark(&self.method, budget, self.seed, seeds).map_err(Failure::input)?;
+        let measured = benchmark(&self.method, budget, self.seed, seeds).map_err(CliError::input)?;
         if let Some(folder) = &self.out {
-            keep(&measured, folder, quiet)?;
+            write_counterexamples(&measured, folder, quiet)?;
         }
-        output::print_result(self.format, &measured, || table(&measured))
+        output::print_result(self.format, &measured, || format_table(&measured))
     }
 }
 
 /// Refuses a folder that holds anything: old counterexamples could not be told from new ones.
-fn check_empty(folder: &Path) -> Result<(), Failure> {
+fn check_empty(folder: &Path) -> Result<(), CliError> {
     match std::fs::read_dir(folder).map(|mut entries| entries.next().is_none()) {
-        Ok(false) => Err(Failure::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),
+        Ok(false) => Err(CliError::Input(format!("--out: {} is not empty: choose another folder", folder.display()))),
         Ok(true) => Ok(()),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(source) => Err(DiskError::at(folder)(source).into()),
@@ -87,25 +87,25 @@ fn check_empty(folder: &Path) -> Result<(), Failure> {
 }
 
 /// Writes each counterexample to a file of its own, reads it back and replays it from there.
-fn write_counterexamples(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), Failure> {
+fn write_counterexamples(measured: &Benchmark, folder: &Path, quiet: bool) -> Result<(), CliError> {
     std::fs::create_dir_all(folder).map_err(DiskError::at(folder))?;
     let found: Vec<CounterexampleFile> = measured.counterexample_files();
-    let mut files = Files::default();
+    let mut files = StagedFiles::default();
     let mut paths = Vec::new();
     for counterexample in &found {
         let path = folder.join(counterexample.file_name());
-        files.stage(&path, counterexample.to_toml().map_err(Failure::input)?.as_bytes())?;
+        files.stage(&path, counterexample.to_toml().map_err(CliError::input)?.as_bytes())?;
         paths.push(path);
     }
     files.commit()?;
     let mut disagreeing = Vec::new();
     for path in &paths {
-        if !CounterexampleFile::load(path)?.is_confirmed().map_err(Failure::input)? {
+        if !CounterexampleFile::load(path)?.is_confirmed().map_err(CliError::input)? {
             disagreeing.push(path.display().to_string());
         }
     }
     if !disagreeing.is_empty() {
-        return Err(Failure::Gate(format!("the independent replay does not confirm {}", disagreeing.join(", "))));
+        return Err(CliError::Gate(format!("the independent replay does not confirm {}", disagreeing.join(", "))));
     }
     let plural = if paths.len() == 1 { "" } else { "s" };
     let note =

@@ -6,13 +6,13 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_verify::{Accepted, Certificate, ParseError, Statement, WorkLimit};
+use crumple_verify::{ProvedClaim, Certificate, CertificateParseError, Statement, WorkLimit};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, cruise, interrupt, output, own_file, progress, subject};
+use super::simulate::OutputFormat;
+use super::{CliError, acc_benchmark, interrupt, output, file_kind, progress, args};
 use crumple_evidence::{
-    CertificateReport, CountsStatus, Rerun, RerunError, Sample, checker_file, lies_within, report_json, report_text,
+    CertificateReport, CountsStatus, Rerun, RerunError, Sample, checker_file, check_covers_scenario, report_json, report_text,
 };
 use crumple_world::control::NameOrigin;
 use crumple_world::network::NetworkFile;
@@ -52,20 +52,20 @@ pub(super) struct Check {
     policy: Option<PathBuf>,
     /// Draw and simulate counted runs again: all of them, or PERCENT of the blocks they come in
     #[arg(long, value_name = "PERCENT", num_args = 0..=1, require_equals = true, default_missing_value = "100",
-          value_parser = percent)]
+          value_parser = parse_percent)]
     rerun: Option<f64>,
     /// What decides which blocks are made again; nobody may have known it when the certificate was made [default: random]
     #[arg(long, value_name = "N", requires = "rerun")]
     rerun_seed: Option<u64>,
     /// A controller of counted runs that is not built in, for --rerun; may be given twice
-    #[arg(long, value_name = "C", requires = "rerun", value_parser = args::controller)]
+    #[arg(long, value_name = "C", requires = "rerun", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
     /// Billions of operations that checking one certificate may take; the default is some ten minutes of one core
     #[arg(long, value_name = "N", default_value_t = WorkLimit::default().to_billions())]
     work_limit: u64,
     /// How to print: for a reader, or one JSON object a certificate
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 fn parse_percent(text: &str) -> Result<f64, String> {
@@ -76,22 +76,22 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl Check {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let scenario = self.scenario.as_deref().map(args::scenario).transpose()?;
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        let scenario = self.scenario.as_deref().map(args::load_scenario).transpose()?;
         if self.rerun.is_some() {
-            interrupt::says("nothing was confirmed or refuted".to_owned(), quiet);
+            interrupt::set_exit_message("nothing was confirmed or refuted".to_owned(), quiet);
         }
         // What is wrong with one says nothing of the others.
         let (mut certificates, mut others) = (Vec::new(), Vec::new());
         for path in &self.certificates {
-            match certificate(path) {
+            match load_certificate(path) {
                 Ok(certificate) => certificates.push((path, certificate)),
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
         }
         let mut all = Vec::new();
         for (path, certificate) in &certificates {
-            match self.judge(path, certificate, scenario.as_ref(), quiet) {
+            match self.check_certificate(path, certificate, scenario.as_ref(), quiet) {
                 Ok(checked) => all.push(checked),
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
@@ -99,16 +99,16 @@ impl Check {
         let printed = output::print_coloured(
             self.format,
             &match self.format {
-                Format::Json => report_json(&all).map_err(Failure::input)? + &unchecked_to_json(&others)?,
-                Format::Text => report_text(&all, self.scenario.as_deref()),
+                OutputFormat::Json => report_json(&all).map_err(CliError::input)? + &unchecked_to_json(&others)?,
+                OutputFormat::Text => report_text(&all, self.scenario.as_deref()),
             },
         );
-        let gate = match refusal(&all) {
-            Some(refusal) => Err(Failure::Gate(refusal)),
+        let gate = match refusal_message(&all) {
+            Some(refusal) => Err(CliError::Gate(refusal)),
             None => others.pop().map_or(Ok(()), |(_, failure)| Err(failure)),
         };
-        others.iter().for_each(|(_, failure)| failure.report());
-        Failure::gate_first(gate, printed)
+        others.iter().for_each(|(_, failure)| failure.print());
+        CliError::gate_first(gate, printed)
     }
 
     fn check_certificate<'a>(
@@ -117,20 +117,20 @@ impl Check {
         certificate: &'a Certificate,
         scenario: Option<&Scenario>,
         quiet: bool,
-    ) -> Result<CertificateReport<'a>, Failure> {
+    ) -> Result<CertificateReport<'a>, CliError> {
         let policy = self.policy_bytes(certificate, path)?;
-        let (file, limit) = (path.display().to_string(), WorkLimit::billions(self.work_limit));
+        let (file, limit) = (path.display().to_string(), WorkLimit::from_billions(self.work_limit));
         let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
-            .map_err(|refused| Failure::Input(format!("{}: {refused}", path.display())))?;
+            .map_err(|refused| CliError::Input(format!("{}: {refused}", path.display())))?;
         report.counts = match (&report.accepted, self.rerun) {
-            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), Some(percent)) => {
-                Some(self.count_again(path, certificate, percent, quiet)?)
+            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), Some(percent)) => {
+                Some(self.rerun_counts(path, certificate, percent, quiet)?)
             }
-            (Ok(Accepted::Rate { .. } | Accepted::FailsLessOften { .. }), None) => Some(CountsStatus::MakersWord),
+            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), None) => Some(CountsStatus::Unconfirmed),
             _ => None,
         };
-        report.about = scenario.map(|scenario| {
-            lies_within(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
+        report.covers_scenario = scenario.map(|scenario| {
+            check_covers_scenario(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
         });
         Ok(report)
     }
@@ -141,14 +141,14 @@ impl Check {
         certificate: &Certificate,
         percent: f64,
         quiet: bool,
-    ) -> Result<CountsStatus, Failure> {
-        let cannot = |error: RerunError| Failure::Input(format!("{}: {error}", path.display()));
+    ) -> Result<CountsStatus, CliError> {
+        let cannot = |error: RerunError| CliError::Input(format!("{}: {error}", path.display()));
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The keys of a new table's hashes are random: nobody could know them when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { Sample::Share { percent, seed } } else { Sample::Whole };
-        let bar = progress::bar("counting again", rerun.runs(sample), quiet);
-        let counted = rerun.confirm(sample, &progress::advance(&bar));
+        let bar = progress::run_bar("counting again", rerun.run_count(sample), quiet);
+        let counted = rerun.confirm(sample, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         match counted {
             Ok(confirmation) => Ok(CountsStatus::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
@@ -159,25 +159,25 @@ impl Check {
 
     /// What the checker needs of a policy. The reference policy comes with the program: only its digest, which the checker
     /// computes again, says that it is the one meant.
-    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
-        if certificate.policy().is_some()
+    fn policy_bytes(&self, certificate: &Certificate, path: &Path) -> Result<Option<Vec<u8>>, CliError> {
+        if certificate.policy_reference().is_some()
             && let Some(source) = self.policy.as_deref().filter(|path| is_network_source(path))
         {
             let place = source.display();
             if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
-                return Ok(Some(acc_benchmark::network(source)?.network_bytes().to_vec()));
+                return Ok(Some(acc_benchmark::load_network(source)?.network_bytes().to_vec()));
             }
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
-                ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => Failure::Input(format!(
+                ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => CliError::Input(format!(
                     "{place}: is no controller by itself, so the network of the certificate came through a controller file: \
                      name that after --policy"
                 )),
-                other => Failure::input(other),
+                other => CliError::input(other),
             })?;
-            let file = checker_file(&read).map_err(|invalid| Failure::Input(format!("{place}: {invalid}")))?;
-            return file.map(Some).ok_or_else(|| Failure::Input(format!("{place}: is no network")));
+            let file = checker_file(&read).map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
+            return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is no network")));
         }
-        let found = certificate.policy_bytes(path, self.policy.as_deref());
+        let found = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not lie beside a certificate that is about it.
         let is_of_reference = match &certificate.statement {
             Statement::Reach(reach) => reach.policy_sha256 == Policy::reference().digest(),
@@ -196,10 +196,10 @@ struct UncheckedCertificate<'a> {
 }
 
 /// Formats certificates that could not be judged as one JSON object a line.
-fn unchecked_to_json(others: &[(String, Failure)]) -> Result<String, Failure> {
-    let line = |(certificate, failure): &(String, Failure)| {
+fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> {
+    let line = |(certificate, failure): &(String, CliError)| {
         let line = UncheckedCertificate { certificate, accepted: false, error: failure.to_string() };
-        Ok(serde_json::to_string(&line).map_err(Failure::input)? + "\n")
+        Ok(serde_json::to_string(&line).map_err(CliError::input)? + "\n")
     };
     others.iter().map(line).collect()
 }
@@ -220,19 +220,19 @@ fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
 
 /// Whether a file is the source of a network, and not what the checker reads.
 fn is_network_source(path: &Path) -> bool {
-    NetworkFile::is_one(path) || path.extension().is_some_and(|extension| extension == "toml")
+    NetworkFile::is_network(path) || path.extension().is_some_and(|extension| extension == "toml")
 }
 
-fn load_certificate(path: &Path) -> Result<Certificate, Failure> {
-    if let Some(what) = file_kind::known(path) {
-        return Err(Failure::Input(format!("{}: is no certificate, but {what}", path.display())));
+fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
+    if let Some(what) = file_kind::detect(path) {
+        return Err(CliError::Input(format!("{}: is no certificate, but {what}", path.display())));
     }
-    let file = File::open(path).map_err(|source| Failure::unreadable(path.to_owned(), source))?;
+    let file = File::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
-        ParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
-            Failure::Input(format!("{}: is not a certificate: it is not UTF-8 text", path.display()))
+        CertificateParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
+            CliError::Input(format!("{}: is not a certificate: it is not UTF-8 text", path.display()))
         }
-        ParseError::Read(source) => Failure::unreadable(path.to_owned(), source),
-        other => Failure::Input(format!("{}: {other}", path.display())),
+        CertificateParseError::Read(source) => CliError::from_read_error(path.to_owned(), source),
+        other => CliError::Input(format!("{}: {other}", path.display())),
     })
 }

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, describe_fmu, output, own_file};
-use crumple_world::control::{Mapping, Output, Quantity};
+use super::simulate::OutputFormat;
+use super::{CliError, describe_fmu, output, file_kind};
+use crumple_world::control::{Mapping, OutputMapping, ObservedQuantity};
 use crumple_world::network::{
-    FileFormat, NetworkError, NetworkFile, Normalisation, SavedModel, VecNormalizeStats, Step, VecNormalizeUse,
+    NetworkFormat, NetworkError, NetworkFile, Normalisation, SavedModel, VecNormalizeStats, NetworkStep, VecNormalizeUse,
 };
 use crumple_world::sim::{NamedController, UnknownController};
 
@@ -34,13 +34,13 @@ pub(super) struct Describe {
     file: PathBuf,
     /// How to print: for a reader (a network as a controller file with comments), or one JSON object
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Serialize)]
 struct NetworkDescription {
     file: String,
-    format: FileFormat,
+    format: NetworkFormat,
     sha256: String,
     layers: String,
     functions: Vec<String>,
@@ -69,34 +69,34 @@ struct SavedModelDescription {
 }
 
 /// What inputs are taken for, for want of anything better, in this order.
-const DEFAULT_QUANTITIES: [Quantity; 6] = [
-    Quantity::GapAheadM,
-    Quantity::SpeedMps,
-    Quantity::RelativeSpeedAheadMps,
-    Quantity::AccelerationMps2,
-    Quantity::SpeedAheadMps,
-    Quantity::AccelerationAheadMps2,
+const DEFAULT_QUANTITIES: [ObservedQuantity; 6] = [
+    ObservedQuantity::GapAheadM,
+    ObservedQuantity::SpeedMps,
+    ObservedQuantity::RelativeSpeedAheadMps,
+    ObservedQuantity::AccelerationMps2,
+    ObservedQuantity::SpeedAheadMps,
+    ObservedQuantity::AccelerationAheadMps2,
 ];
 
 impl Describe {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let place = &self.file;
         if place.extension().is_some_and(|extension| extension == "fmu") {
             return describe_fmu::describe(place, self.format);
         }
         let network = NetworkFile::load(place).map_err(|error| self.not_a_network_error(&error))?;
-        let statistics = network.saved_model().and_then(|_| VecNormalizeStats::beside(place));
+        let statistics = network.saved_model().and_then(|_| VecNormalizeStats::find_for_model(place));
         let normalisation = match statistics.as_deref().map(VecNormalizeStats::load) {
-            Some(VecNormalizeStats::OfObservations(normalisation)) => Some(normalisation),
+            Some(VecNormalizeStats::Observations(normalisation)) => Some(normalisation),
             _ => None,
         };
         let is_named = is_controller(place);
         let model = network.saved_model().map(|saved| SavedModelDescription {
             algorithm: saved.algorithm,
             version: saved.version.clone(),
-            observations: bounds(&saved.observations.low, &saved.observations.high),
-            actions: bounds(&saved.actions.low, &saved.actions.high),
-            vec_normalize: saved.trace,
+            observations: finite_bounds(&saved.observation_space.low, &saved.observation_space.high),
+            actions: finite_bounds(&saved.action_space.low, &saved.action_space.high),
+            vec_normalize: saved.vec_normalize,
             statistics: statistics.map(|path| path.display().to_string()),
             normalisation,
         });
@@ -105,15 +105,15 @@ impl Describe {
             format: network.format(),
             sha256: network.sha256.clone(),
             layers: network.network.shape(),
-            functions: functions(network.network.steps()),
+            functions: activation_names(network.network.steps()),
             inputs: network.network.inputs(),
             answers: network.network.outputs(),
-            answer_bounds: finite(network.network.answer_bounds()),
+            answer_bounds: without_infinities(network.network.answer_bounds()),
             model,
             drives_as_it_is: is_named,
             controller_file: String::new(),
         };
-        description.controller_file = description.starter(network.saved_model());
+        description.controller_file = description.draft_controller_file(network.saved_model());
         let words = || format!("{}{}", description.comments(), description.controller_file);
         output::print_result(self.format, &description, words)
     }
@@ -121,15 +121,15 @@ impl Describe {
 
 impl Describe {
     /// Why there is nothing to describe: of what drives as it is, that.
-    fn not_a_network_error(&self, error: &NetworkError) -> Failure {
+    fn not_a_network_error(&self, error: &NetworkError) -> CliError {
         let place = self.file.display();
-        let names_no_network = !NetworkFile::is_one(&self.file);
-        match file_kind::known(&self.file) {
-            Some(what) => Failure::Input(format!("{place}: is no network from outside, but {what}")),
-            None if names_no_network && is_controller(&self.file) => Failure::Input(format!(
+        let names_no_network = !NetworkFile::is_network(&self.file);
+        match file_kind::detect(&self.file) {
+            Some(what) => CliError::Input(format!("{place}: is no network from outside, but {what}")),
+            None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
                 "{place}: is no network from outside, but a controller as it is: name it after --controller of other commands"
             )),
-            None => Failure::input(error),
+            None => CliError::input(error),
         }
     }
 }
@@ -154,10 +154,10 @@ fn without_infinities(bounds: Vec<[f64; 2]>) -> Vec<[Option<f64>; 2]> {
 }
 
 /// The functions between the products by name, each once, in order.
-fn activation_names(steps: &[Step]) -> Vec<String> {
+fn activation_names(steps: &[NetworkStep]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for step in steps {
-        if let Step::Each(each) = step {
+        if let NetworkStep::Elementwise(each) = step {
             let name: String = format!("{each:?}").chars().take_while(|letter| letter.is_alphanumeric()).collect();
             if !names.contains(&name) {
                 names.push(name);
@@ -188,8 +188,8 @@ impl NetworkDescription {
         if let Some(model) = &self.model {
             let version = model.version.as_ref().map(|version| format!(" {version}")).unwrap_or_default();
             lines.push(format!("{}, saved by Stable-Baselines3{version}", model.algorithm));
-            lines.push(format!("observation_space: {}", told(&model.observations)));
-            lines.push(format!("action_space: {}", told(&model.actions)));
+            lines.push(format!("observation_space: {}", format_bounds(&model.observations)));
+            lines.push(format!("action_space: {}", format_bounds(&model.actions)));
             let trace = match model.vec_normalize {
                 VecNormalizeUse::None => "it was trained without, or it changed no observation",
                 VecNormalizeUse::Behind => "it was trained behind one",
@@ -213,7 +213,7 @@ impl NetworkDescription {
 
     /// A controller file that runs.
     fn draft_controller_file(&self, saved: Option<&SavedModel>) -> String {
-        let own = Mapping::own();
+        let own = Mapping::native();
         let model = self.model.as_ref();
         let normalisation = model.and_then(|model| model.normalisation.as_ref());
         // Escaped as TOML wants it, too.
@@ -222,7 +222,7 @@ impl NetworkDescription {
         let is_normalised = normalisation.is_some_and(|found| found.means.len() == self.inputs);
         if is_normalised {
             text += "normalised = true # the inputs hold the statistics\n";
-        } else if saved.is_some_and(|saved| saved.trace == VecNormalizeUse::Behind) {
+        } else if saved.is_some_and(|saved| saved.vec_normalize == VecNormalizeUse::Behind) {
             // Nothing is said in the place of who knows: the file is refused until somebody does.
             text += "# Say normalised = true once the inputs hold means and deviations, or false if VecNormalize left observations alone.\n";
         }
@@ -245,11 +245,11 @@ impl NetworkDescription {
         if self.answers > 1 {
             text += "answer = 0 # which of them drives, a guess\n";
         }
-        text + &self.output(&own.output)
+        text + &self.output_section(&own.output)
     }
 
     /// Returns the rest of `[output]`. A network that limits its answers itself, as by tanh at its end, needs a scale to m/s².
-    fn output_section(&self, own: &Output) -> String {
+    fn output_section(&self, own: &OutputMapping) -> String {
         let [least_mps2, most_mps2] = [own.low_mps2, own.high_mps2];
         let limits = format!("low_mps2 = {least_mps2:?}\nhigh_mps2 = {most_mps2:?}\n");
         // The space of actions is wider than what the network reaches where it cuts the mean before tanh.
@@ -273,7 +273,7 @@ impl NetworkDescription {
                 )
             }
             _ if self.drives_as_it_is => {
-                let Output { scale_mps2, offset_mps2, .. } = own;
+                let OutputMapping { scale_mps2, offset_mps2, .. } = own;
                 format!("scale_mps2 = {scale_mps2:?}\noffset_mps2 = {offset_mps2:?}\n{limits}")
             }
             _ => format!(

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use crumple_fmu::{Description, Fmu, Variable};
+use crumple_fmu::{ModelDescription, Fmu, Variable};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, output};
-use crumple_core::quoted::Terminal;
+use super::simulate::OutputFormat;
+use super::{CliError, output};
+use crumple_core::quoting::TerminalText;
 
 /// An FMU, for programs.
 #[derive(Serialize)]
@@ -31,15 +31,15 @@ struct FmuVariableReport<'a> {
 }
 
 /// Prints what an FMU can be wired to. Runs nothing of it.
-pub(super) fn describe(file: &Path, format: Format) -> Result<(), Failure> {
-    let fmu = Fmu::open(file).map_err(|error| Failure::Input(format!("{}: {error}", file.display())))?;
+pub(super) fn describe(file: &Path, format: OutputFormat) -> Result<(), CliError> {
+    let fmu = Fmu::open(file).map_err(|error| CliError::Input(format!("{}: {error}", file.display())))?;
     let description = fmu.description();
-    let words = || description.to_string().lines().map(|line| format!("{}\n", Terminal(line))).collect();
+    let words = || description.to_string().lines().map(|line| format!("{}\n", TerminalText(line))).collect();
     output::print_result(format, &FmuReport::new(file, description), words)
 }
 
 impl<'a> FmuReport<'a> {
-    fn new(file: &Path, description: &'a Description) -> Self {
+    fn new(file: &Path, description: &'a ModelDescription) -> Self {
         let variable = |variable: &'a Variable| FmuVariableReport {
             name: &variable.name,
             causality: variable.causality.name(),

@@ -8,15 +8,15 @@ use clap::Args;
 use serde::Serialize;
 
 use super::feature::{FEATURES, Feature};
-use super::simulate::Format;
-use super::{Failure, output};
+use super::simulate::OutputFormat;
+use super::{CliError, output};
 
 /// Say what this build can do on this machine, and what it would need for the rest
 #[derive(Args)]
 pub(super) struct Doctor {
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What was found.
@@ -34,7 +34,7 @@ struct DoctorReport {
     program_sha256: Option<&'static str>,
     /// Optional features of the build.
     features: [Feature; 3],
-    needs: Vec<Need>,
+    needs: Vec<Dependency>,
 }
 
 /// Something that a part of crumple needs besides itself.
@@ -50,21 +50,21 @@ struct Dependency {
 }
 
 impl Doctor {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let report = DoctorReport {
             version: env!("CARGO_PKG_VERSION"),
             system: std::env::consts::OS,
             processor: std::env::consts::ARCH,
-            register_bits: 64 * crumple_world::policy::doubles_at_once(),
-            fused_multiply_add: crumple_world::policy::fuses_multiply_add(),
+            register_bits: 64 * crumple_world::policy::f64_lanes(),
+            fused_multiply_add: crumple_world::policy::has_fused_multiply_add(),
             threads: rayon::current_num_threads(),
             program_sha256: crumple_store::program::identity().ok(),
             features: FEATURES,
-            needs: needs(),
+            needs: dependencies(),
         };
         let text = match self.format {
-            Format::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
-            Format::Text => report.text(),
+            OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
+            OutputFormat::Text => report.text(),
         };
         output::print(&text)
     }
@@ -87,11 +87,11 @@ impl DoctorReport {
         }
         for feature in &self.features {
             let Feature { name, used_for, enabled } = feature;
-            let state = if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.command()) };
+            let state = if *enabled { "compiled in".to_owned() } else { format!("missing: {}", feature.install_command()) };
             let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
         }
         text += "  all that crumple does works by itself; with it work\n";
-        for Need { name, found, used_for, install } in &self.needs {
+        for Dependency { name, found, used_for, install } in &self.needs {
             let there = found.as_ref().map_or_else(|| format!("not found: {install}"), Clone::clone);
             let _ = writeln!(text, "    {name:<14}{used_for}\n{:18}{there}", "");
         }
@@ -99,54 +99,54 @@ impl DoctorReport {
     }
 }
 
-fn dependencies() -> Vec<Need> {
-    let python = ["python3", "python"].into_iter().find_map(program);
+fn dependencies() -> Vec<Dependency> {
+    let python = ["python3", "python"].into_iter().find_map(find_program);
     let module = |name: &str| {
         let python = python.as_ref()?;
         let look = format!("import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')");
-        printed(Command::new(python).args(["-I", "-c", &look])).filter(|origin| !origin.is_empty())
+        program_output(Command::new(python).args(["-I", "-c", &look])).filter(|origin| !origin.is_empty())
     };
     let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
     vec![
-        Need {
+        Dependency {
             name: "crumple-fmu",
             found: shown(crumple_world::control::find_fmu_host()),
             used_for: "FMUs as controllers",
             install: "cargo install crumple brings it; CRUMPLE_FMU may say where it is",
         },
-        Need {
+        Dependency {
             name: "python",
             found: shown(python.clone()),
             used_for: "controllers in Python, job files of `crumple plan`",
             install: "https://www.python.org",
         },
-        Need {
+        Dependency {
             name: "crumple (PyPI)",
             found: module("crumple"),
             used_for: "notebooks, Gymnasium, callables as controllers",
             install: "pip install ./python",
         },
-        Need {
+        Dependency {
             name: "hyperqueue",
-            found: module("hyperqueue").or_else(|| shown(program("hq"))),
+            found: module("hyperqueue").or_else(|| shown(find_program("hq"))),
             used_for: "campaigns on many machines by HyperQueue",
             install: "pip install hyperqueue",
         },
-        Need {
+        Dependency {
             name: "ray",
             found: module("ray"),
             used_for: "campaigns on many machines by Ray",
             install: "pip install ray",
         },
-        Need {
+        Dependency {
             name: "sbatch",
-            found: shown(program("sbatch")),
+            found: shown(find_program("sbatch")),
             used_for: "campaigns on many machines by Slurm",
             install: "a cluster has it",
         },
-        Need {
+        Dependency {
             name: "cargo-fuzz",
-            found: shown(program("cargo-fuzz")),
+            found: shown(find_program("cargo-fuzz")),
             used_for: "`cargo fuzz run scenario`, in a clone",
             install: "cargo install cargo-fuzz, and a nightly toolchain",
         },

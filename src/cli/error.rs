@@ -8,11 +8,11 @@ use std::process::ExitCode;
 use super::output;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
-use crumple_learn::rl::GatherError;
-use crumple_report::assessment::{AssessError, ConfigError, EvidenceShardError, StoreError};
+use crumple_learn::rl::MergeTrainingsError;
+use crumple_report::assessment::{AssessError, AssessConfigError, EvidenceShardError, CacheError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
-use crumple_store::work::WorkError;
+use crumple_store::run_folder::RunFolderError;
 use crumple_suites::{SuiteError, SuiteShardError};
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
@@ -85,7 +85,7 @@ impl From<DiskError> for CliError {
 impl From<FileError> for CliError {
     fn from(error: FileError) -> Self {
         match error {
-            FileError::Read { path, source } => Self::unreadable(path, source),
+            FileError::Read { path, source } => Self::from_read_error(path, source),
             other => Self::input(other),
         }
     }
@@ -94,7 +94,7 @@ impl From<FileError> for CliError {
 impl From<RecordingError> for CliError {
     fn from(error: RecordingError) -> Self {
         match error {
-            RecordingError::Read { path, source } => Self::unreadable(path, source),
+            RecordingError::Read { path, source } => Self::from_read_error(path, source),
             RecordingError::Map(error) => (*error).into(),
             other => Self::input(other),
         }
@@ -116,17 +116,17 @@ macro_rules! from_errors {
 }
 
 from_errors! {
-    AssessError { Store, Campaign }
+    AssessError { Cache, Campaign }
     CampaignError { Disk, Work }
-    ConfigError { File }
+    AssessConfigError { File }
     EvidenceShardError { Work, Assess }
-    GatherError { Work, Training }
-    RareError { Work, Merge }
+    MergeTrainingsError { RunFolder, Training }
+    RareError { RunFolder, Merge }
     RefusedController {}
-    RetrainError { Disk, Work, Campaign, Training }
+    RetrainError { Disk, RunFolder, Campaign, Training }
     RunError {}
-    StoreError { Disk }
+    CacheError { Disk }
     SuiteError { File }
-    SuiteShardError { Work }
-    WorkError { Disk }
+    SuiteShardError { RunFolder }
+    RunFolderError { Disk }
 }

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use crumple_explore::{Offer, CatalogScenario, ServeError, Server};
+use crumple_explore::{ExploreConfig, CatalogScenario, ServeError, Server};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, choice, output, subject};
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, output, args};
 use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
@@ -32,7 +32,7 @@ pub(super) struct Explore {
     #[arg(long, value_name = "N", default_value_t = 0)]
     port: u16,
     /// Controller to begin with (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4, side by side
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
     /// What the vehicles under test look through at first
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -42,7 +42,7 @@ pub(super) struct Explore {
     out: Option<PathBuf>,
     /// How to print the address: for a reader, or as one JSON object
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What `--format json` prints.
@@ -56,9 +56,9 @@ struct Address {
 }
 
 impl Explore {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let mut offer =
-            Offer { controllers: self.controller, estimator: self.estimator, out: self.out, ..Offer::default() };
+            ExploreConfig { controllers: self.controller, estimator: self.estimator, save_folder: self.out, ..ExploreConfig::default() };
         // What is named first is shown first.
         let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {
@@ -66,11 +66,11 @@ impl Explore {
                 offer.campaigns.push(name.into());
                 continue;
             }
-            let scenario = args::scenario(&name)?;
+            let scenario = args::load_scenario(&name)?;
             offer.scenarios.push(CatalogScenario { name, scenario });
         }
         let server = Server::bind(self.port, offer)?;
-        let (address, port) = (server.address(), server.port());
+        let (address, port) = (server.url(), server.port());
         let page = format!("{address}{page}");
         let words = format!("{page}\n");
         output::print_result(self.format, &Address { address, page, port }, || words)?;
@@ -79,7 +79,7 @@ impl Explore {
     }
 }
 
-impl From<ServeError> for Failure {
+impl From<ServeError> for CliError {
     fn from(error: ServeError) -> Self {
         match error {
             ServeError::System(source) => Self::Environment(DiskError { path: "the network".into(), source }),

@@ -6,14 +6,14 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::Format;
-use super::{Failure, choice, output, subject};
-use crumple_core::quoted::Terminal;
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, output, args};
+use crumple_core::quoting::TerminalText;
 use crumple_report::export::openscenario::{self, OpenScenario};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in};
+use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
@@ -45,7 +45,7 @@ pub(super) struct Export {
     what: ExportContent,
     /// Controller of the vehicles under test, for trajectories (see `crumple list controllers`) [default: the one that a
     /// counterexample is recorded with, `baseline` in built-in scenarios; needed in all other scenarios with a vehicle under test]
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Option<NamedController>,
     /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
     #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -59,7 +59,7 @@ pub(super) struct Export {
     out: PathBuf,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What was written of a scenario.
@@ -98,23 +98,23 @@ enum ExportContent {
 }
 
 impl Export {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let ExportFormat::OpenScenario = self.to;
         if self.what == ExportContent::Actions && self.controller.is_some() {
             let problem = "--controller: drives in trajectories; with `--as actions` the controller is yours";
-            return Err(Failure::Input(problem.to_owned()));
+            return Err(CliError::Input(problem.to_owned()));
         }
-        let folder = OutputFolder::listed(&self.out, "exported.sha256")?;
+        let folder = OutputFolder::with_listing(&self.out, "exported.sha256")?;
         let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for given in &self.scenarios {
-            let scenario = args::scenario(given)?;
-            let name = stem(&scenario.spec().name);
+            let scenario = args::load_scenario(given)?;
+            let name = file_stem(&scenario.spec().name);
             if names.contains(&name) {
                 let problem = "would be written over another of these: export them into folders of their own";
-                return Err(Failure::Input(format!("{given}: {name}.xosc {problem}")));
+                return Err(CliError::Input(format!("{given}: {name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
-            let driven = self.driven(given, &scenario)?;
+            let driven = self.controller_setup(given, &scenario)?;
             let made = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
             exported.push(ExportedScenario {
@@ -129,22 +129,22 @@ impl Export {
             written.extend([(storyboard, made.scenario), (road, made.road)]);
             names.push(name);
         }
-        folder.write(&written, EarlierFiles::Stay)?;
+        folder.write(&written, EarlierFiles::Keep)?;
         let line = |one: &ExportedScenario| {
             let under = match (&one.controller, one.estimator) {
                 (Some(controller), Some(estimator)) => {
-                    format!(", under {}, estimator {estimator}", Terminal(controller))
+                    format!(", under {}, estimator {estimator}", TerminalText(controller))
                 }
                 _ => String::new(),
             };
-            format!("{}: {} vehicles, {} vertices{under}\n", Terminal(&one.openscenario), one.vehicles, one.vertices)
+            format!("{}: {} vehicles, {} vertices{under}\n", TerminalText(&one.openscenario), one.vehicles, one.vertices)
         };
         output::print_result(self.format, &exported, || exported.iter().map(line).collect())
     }
 
     /// Returns what drives the vehicles under test: what the user names, or else what a counterexample is recorded with. None where no
     /// vehicle is under test, or where that is left to the user.
-    fn controller_setup(&self, given: &str, scenario: &Scenario) -> Result<Option<ExportController>, Failure> {
+    fn controller_setup(&self, given: &str, scenario: &Scenario) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
         }
@@ -154,21 +154,21 @@ impl Export {
         if let Some(controller) = &self.controller {
             return driven(controller.clone(), None);
         }
-        if built_in(given).is_some() {
-            return driven(NamedController::find("baseline", Path::new("")).map_err(Failure::input)?, None);
+        if built_in_scenario(given).is_some() {
+            return driven(NamedController::find("baseline", Path::new("")).map_err(CliError::input)?, None);
         }
         let mut records = VerdictRecordReader::default();
-        let Some(recorded) = records.about(Path::new(given))? else {
+        let Some(recorded) = records.find(Path::new(given))? else {
             let problem = "no record says which controller it is about: name one with --controller";
-            return Err(Failure::Input(format!("{given}: {problem}")));
+            return Err(CliError::Input(format!("{given}: {problem}")));
         };
         let [verdict] = recorded.by_controller()[..] else {
             let names: Vec<_> =
                 recorded.by_controller().iter().map(|verdict| format!("`{}`", verdict.controller)).collect();
             let problem = format!("it is recorded with {}: choose one with --controller", names.join(" and "));
-            return Err(Failure::Input(format!("{given}: {problem}")));
+            return Err(CliError::Input(format!("{given}: {problem}")));
         };
-        let mut found = recorded.places(verdict).map(|folder| verdict.find_controller(&folder));
+        let mut found = recorded.controller_folders(verdict).map(|folder| verdict.find_controller(&folder));
         let first = found.next();
         let controller = match first {
             Some(Ok(controller)) => Ok(controller),
@@ -177,7 +177,7 @@ impl Export {
         };
         let controller = controller.map_err(|error| {
             let problem = format!("it is recorded with the controller `{}`: {error}", verdict.controller);
-            Failure::Input(format!("{given}: {problem}; --controller names another one"))
+            CliError::Input(format!("{given}: {problem}; --controller names another one"))
         })?;
         driven(controller, Some(verdict.estimator))
     }
@@ -188,11 +188,11 @@ impl Export {
         driven: Option<&ExportController>,
         road: &str,
         quiet: bool,
-    ) -> Result<OpenScenario, Failure> {
+    ) -> Result<OpenScenario, CliError> {
         let name = &scenario.spec().name;
-        let failed = |error: &dyn std::fmt::Display| Failure::Input(format!("{name}: {error}"));
+        let failed = |error: &dyn std::fmt::Display| CliError::Input(format!("{name}: {error}"));
         if self.what == ExportContent::Actions {
-            return openscenario::actions(scenario, road).map_err(|error| failed(&error));
+            return openscenario::export_actions(scenario, road).map_err(|error| failed(&error));
         }
         // Without a vehicle under test, the controller has no effect.
         let (kind, estimator) = match driven {
@@ -207,7 +207,7 @@ impl Export {
         }
         let trace = simulated.trace.ok_or_else(|| failed(&"no motion was recorded"))?;
         let controller = driven.map(|driven| driven.controller.name.as_str());
-        openscenario::trajectories(scenario, &trace, controller, road).map_err(|error| failed(&error))
+        openscenario::export_trajectories(scenario, &trace, controller, road).map_err(|error| failed(&error))
     }
 }
 

@@ -2,28 +2,28 @@
 
 use std::fmt::Write;
 
-use crumple_core::digits::nearest;
-use crumple_core::quoted::Terminal;
-use crumple_evidence::exposure::{ExposedRate, Figure, Figures, MIN_RESAMPLES, WithDataUncertainty};
+use crumple_core::digits::format_rounded;
+use crumple_core::quoting::TerminalText;
+use crumple_evidence::exposure::{RatePerExposure, IntervalEstimate, FailureRates, MIN_RESAMPLES, WithDataUncertainty};
 
 /// The option `--resamples`: none, or enough for an interval.
 pub(super) fn parse_resamples(text: &str) -> Result<u32, String> {
     match text.parse() {
         Ok(found @ (0 | MIN_RESAMPLES..=2000)) => Ok(found),
-        _ => Err(format!("must be 0 or from {LEAST_RESAMPLES} to 2000, found {text}")),
+        _ => Err(format!("must be 0 or from {MIN_RESAMPLES} to 2000, found {text}")),
     }
 }
 
 /// What a rate comes to on the road.
-pub(super) fn format_rate(rate: &ExposedRate) -> String {
+pub(super) fn format_rate(rate: &RatePerExposure) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    let _ = write_text(rate, &mut text);
+    let _ = write_rate(rate, &mut text);
     text
 }
 
-fn write_rate(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
-    let ExposedRate { episodes, left_out, waves, hours, kilometres, confidence, fitted, with_data, without_data } =
+fn write_rate(rate: &RatePerExposure, out: &mut String) -> std::fmt::Result {
+    let RatePerExposure { episodes, left_out, clusters: waves, hours, kilometres, confidence, fitted, with_data_uncertainty: with_data, data_uncertainty_missing: without_data } =
         rate;
     let percent = 100.0 * confidence;
     writeln!(
@@ -37,11 +37,11 @@ fn write_rate(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
             "  of {all} brakings {episodes} could be used: rates per hour and per 1000 km count all {all}, as if the others failed as often"
         )?;
     }
-    let shown = |Figure { estimate, lower, upper }: Figure| {
-        format!("{} ({} to {})", nearest(estimate, 4), nearest(lower, 3), nearest(upper, 3))
+    let shown = |IntervalEstimate { estimate, lower, upper }: IntervalEstimate| {
+        format!("{} ({} to {})", format_rounded(estimate, 4), format_rounded(lower, 3), format_rounded(upper, 3))
     };
-    let figures = |figures: &Figures, out: &mut String| {
-        let Figures { per_episode, per_hour, per_1000_km } = *figures;
+    let figures = |figures: &FailureRates, out: &mut String| {
+        let FailureRates { per_episode, per_hour, per_1000_km } = *figures;
         writeln!(out, "    failures per episode  {}", shown(per_episode))?;
         writeln!(out, "    failures per hour     {}", shown(per_hour))?;
         writeln!(out, "    failures per 1000 km  {}", shown(per_1000_km))
@@ -54,9 +54,9 @@ fn write_rate(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
     figures(fitted, out)?;
     let Some(with_data) = with_data else {
         let why = without_data.as_deref().unwrap_or("nothing was resampled");
-        return writeln!(out, "  without the data's uncertainty: {}", Terminal(why));
+        return writeln!(out, "  without the data's uncertainty: {}", TerminalText(why));
     };
-    let WithDataUncertainty { resamples, unfit, runs_each, .. } = with_data;
+    let WithDataUncertainty { resamples, failed_fits: unfit, runs_each, .. } = with_data;
     let how = match runs_each {
         Some(runs) => format!("{runs} new runs in each"),
         None => "a smaller estimate in each".to_owned(),
@@ -65,7 +65,7 @@ fn write_rate(rate: &ExposedRate, out: &mut String) -> std::fmt::Result {
         out,
         "  at {percent} %, with the data's uncertainty: {resamples} resamples of the episodes, the space fitted to each; {how}"
     )?;
-    figures(&with_data.figures, out)?;
+    figures(&with_data.rates, out)?;
     if *unfit > 0 {
         writeln!(out, "    to {unfit} resamples no space could be fitted: others were drawn in their place")?;
     }

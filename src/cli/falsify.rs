@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, choice, interrupt, output, progress, subject};
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, interrupt, output, progress, args};
 use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardDone, Summary,
+    Aim, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardSummary, CampaignSummary,
 };
-use crumple_search::falsify::{FailureCriterion, Method, Relation, non_finite};
-use crumple_store::shard::Shard;
+use crumple_search::falsify::{FailureCriterion, Method, MetamorphicRelation, non_finite};
+use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{Space, FindSpaceError, find_space};
+use crumple_world::scenario::space::{ScenarioSpace, FindSpaceError, find_space};
 use crumple_world::sim::NamedController;
 
 /// Search for scenarios in which a controller fails
@@ -53,7 +53,7 @@ Examples:
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Where to search: a built-in space (see `crumple list spaces`) or a space file
     #[arg(long, value_name = "S", default_value = "high-risk")]
@@ -74,12 +74,12 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
     /// Only what this other controller passes counts as a failure
-    #[arg(long, value_name = "CONTROLLER", value_parser = args::controller, conflicts_with = "metamorphic")]
+    #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
     /// Only what the controller passes with less of this counts: `larger-gap=M` (everybody ahead starts M metres further away) or
     /// `more-friction=F`
     #[arg(long, value_name = "RELATION")]
-    metamorphic: Option<Relation>,
+    metamorphic: Option<MetamorphicRelation>,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
@@ -88,7 +88,7 @@ pub(super) struct Falsify {
     log: Option<EvaluationLog>,
     /// Make shard I of N only: a part of the budget of every method; `crumple merge` puts shards together to one campaign
     #[arg(long, value_name = "I/N")]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     /// Make the search a gate: exit code 1 unless it found a failure, or nothing
     #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
     expect: Option<SearchExpectation>,
@@ -100,7 +100,7 @@ pub(super) struct Falsify {
     resume: bool,
     /// How to print the summary
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -113,28 +113,28 @@ enum SearchExpectation {
 
 impl SearchExpectation {
     /// Whether it came so; a search that found nothing has shown nothing but how hard it looked, which the gate says.
-    fn check(self, summary: &Summary) -> Result<(), Failure> {
+    fn check(self, summary: &CampaignSummary) -> Result<(), CliError> {
         let evaluations: u64 = summary.methods.iter().map(|method| method.evaluations).sum();
         match (self, summary.falsified) {
             (Self::Failure, false) => {
-                Err(Failure::Gate(format!("expected a failure, and there is none in {evaluations} evaluations")))
+                Err(CliError::Gate(format!("expected a failure, and there is none in {evaluations} evaluations")))
             }
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
                 let found =
                     if kinds == 1 { "is 1 distinct failure" } else { &format!("are {kinds} distinct failures") };
-                Err(Failure::Gate(format!("expected nothing, and there {found} in {evaluations} evaluations")))
+                Err(CliError::Gate(format!("expected nothing, and there {found} in {evaluations} evaluations")))
             }
             // What was not judged does not speak for the controller.
             (Self::Nothing, false) => {
                 let alone: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
                 if alone > 0 && alone == evaluations {
-                    return Err(Failure::Gate(format!(
+                    return Err(CliError::Gate(format!(
                         "expected nothing, and none of {evaluations} evaluations has another scenario that it could be compared with"
                     )));
                 }
                 match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
-                    Some(silent) => Err(Failure::Gate(format!(
+                    Some(silent) => Err(CliError::Gate(format!(
                         "expected nothing, and beside some evaluations the other gave no answer, so that they were not judged: {}",
                         silent.because
                     ))),
@@ -147,26 +147,26 @@ impl SearchExpectation {
 }
 
 impl Falsify {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if let (Some(shard), Some(EvaluationLog::Full)) = (self.shard, self.log) {
             let problem = "a shard keeps no log, so that it is four files: leave --log away, or --shard";
-            return Err(Failure::Input(format!("--log: shard {shard}: {problem}")));
+            return Err(CliError::Input(format!("--log: shard {shard}: {problem}")));
         }
         let out = self.out.clone().unwrap_or_else(|| match self.shard {
             None => PathBuf::from("crumple-campaign"),
-            Some(shard) => PathBuf::from(format!("crumple-campaign-shard-{}-of-{}", shard.index(), shard.of())),
+            Some(shard) => PathBuf::from(format!("crumple-campaign-shard-{}-of-{}", shard.index(), shard.count())),
         });
-        let space = space(&self.space)?;
-        let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification = args::specification(&self.spec, &nominal, quiet)?;
+        let space = load_space(&self.space)?;
+        let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
+        let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            contrast: self.against.map(FailureCriterion::Against).or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: self.against.map(FailureCriterion::Differential).or(self.metamorphic.map(FailureCriterion::Metamorphic)),
             method: self.method,
-            aim: self.aim,
+            objective: self.aim,
             budget: self.budget,
             seed: self.seed,
         };
@@ -175,7 +175,7 @@ impl Falsify {
             Some(_) => format!("{kept}: the same command with --resume goes on"),
             None => format!("{kept}; the controller states no identity, so nothing goes on with them"),
         };
-        interrupt::says(again, quiet);
+        interrupt::set_exit_message(again, quiet);
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let part = match self.shard {
             None => self.budget,
@@ -187,14 +187,14 @@ impl Falsify {
         let observer = Listener(|state: &CampaignProgress| {
             bar.set_position(state.evaluations);
             bar.set_message(match &state.method {
-                Some(method) => format!("{method}: {}, best {:.2};", failures(state.failures), state.best_robustness),
-                None => format!("{}; replaying and shrinking;", failures(state.failures)),
+                Some(method) => format!("{method}: {}, best {:.2};", format_failure_count(state.failures), state.best_robustness),
+                None => format!("{}; replaying and shrinking;", format_failure_count(state.failures)),
             });
         });
         if let Some(shard) = self.shard {
             let done = campaign.run_shard(shard, &out, self.resume, &observer);
             bar.finish_and_clear();
-            return made(shard, done?, &out, self.format);
+            return print_shard_summary(shard, done?, &out, self.format);
         }
         let log = self.log.unwrap_or(EvaluationLog::Full);
         let kept = if log == EvaluationLog::Full { ", evaluations" } else { "" };
@@ -203,18 +203,18 @@ impl Falsify {
         let summary = summary?;
         let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
         output::note(&format!("wrote {} (summary{found}{kept})", out.display()), quiet);
-        let expected = self.expect.map_or(Ok(()), |expected| expected.is_met(&summary));
-        Failure::gate_first(expected, print(&summary, self.format))
+        let expected = self.expect.map_or(Ok(()), |expected| expected.check(&summary));
+        CliError::gate_first(expected, print_summary(&summary, self.format))
     }
 }
 
 /// Says what came of a shard.
-fn print_shard_summary(shard: Shard, done: ShardDone, out: &Path, format: Format) -> Result<(), Failure> {
+fn print_shard_summary(shard: ShardId, done: ShardSummary, out: &Path, format: OutputFormat) -> Result<(), CliError> {
     let words = || {
         format!(
             "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` puts it together with the others\n",
             done.evaluations,
-            failures(done.failures),
+            format_failure_count(done.failures),
             done.kinds,
             if done.kinds == 1 { "" } else { "s" },
             out.display()
@@ -228,17 +228,17 @@ fn print_shard_summary(shard: Shard, done: ShardDone, out: &Path, format: Format
 pub(super) fn merge(
     merged: &MergedCampaign,
     folder: &Path,
-    (format, is_part_wanted): (Format, bool),
+    (format, is_part_wanted): (OutputFormat, bool),
     quiet: bool,
-) -> Result<(), Failure> {
-    let missing: u64 = merged.missing().iter().map(|range| range.end - range.start).sum();
+) -> Result<(), CliError> {
+    let missing: u64 = merged.missing_ranges().iter().map(|range| range.end - range.start).sum();
     let is_written = missing == 0 || is_part_wanted;
-    let summary = if is_written { merged.write_in(folder)? } else { merged.summary()? };
+    let summary = if is_written { merged.write_to(folder)? } else { merged.summary()? };
     if is_written {
         let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
         output::note(&format!("wrote {} (summary{found})", folder.display()), quiet);
     }
-    let printed = print(&summary, format);
+    let printed = print_summary(&summary, format);
     let gate = if missing == 0 {
         Ok(())
     } else {
@@ -248,9 +248,9 @@ pub(super) fn merge(
         } else {
             "nothing is written (--partial writes the part that is there)"
         };
-        Err(Failure::Gate(format!("{missing} evaluations of each method are missing{which}, and {written}")))
+        Err(CliError::Gate(format!("{missing} evaluations of each method are missing{which}, and {written}")))
     };
-    Failure::gate_first(gate, printed)
+    CliError::gate_first(gate, printed)
 }
 
 /// A summary for programs. Its figures are some of the method that was asked for and some of all methods together; these two say which,
@@ -258,7 +258,7 @@ pub(super) fn merge(
 #[derive(Serialize)]
 struct SummaryReport<'a> {
     #[serde(flatten)]
-    summary: &'a Summary,
+    summary: &'a CampaignSummary,
     #[serde(rename = "of_method_asked_for")]
     requested_method: Option<&'a MethodSummary>,
     #[serde(rename = "of_all_methods")]
@@ -280,7 +280,7 @@ struct AllMethodsSummary {
 }
 
 impl<'a> SummaryReport<'a> {
-    fn new(summary: &'a Summary) -> Self {
+    fn new(summary: &'a CampaignSummary) -> Self {
         let methods = &summary.methods;
         let best_robustness = methods.iter().filter_map(|method| method.best_robustness).reduce(f64::min);
         let of_all_methods = AllMethodsSummary {
@@ -291,12 +291,12 @@ impl<'a> SummaryReport<'a> {
             distinct_failures: summary.counterexamples.len(),
             best_robustness,
         };
-        Self { summary, of_method_asked_for: methods.first(), of_all_methods }
+        Self { summary, requested_method: methods.first(), all_methods: of_all_methods }
     }
 }
 
-fn print_summary(summary: &Summary, format: Format) -> Result<(), Failure> {
-    output::print_result(format, &SummaryReport::of(summary), || summary.to_text())
+fn print_summary(summary: &CampaignSummary, format: OutputFormat) -> Result<(), CliError> {
+    output::print_result(format, &SummaryReport::new(summary), || summary.to_text())
 }
 
 fn format_failure_count(count: u64) -> String {
@@ -304,12 +304,12 @@ fn format_failure_count(count: u64) -> String {
 }
 
 /// A built-in space, or the one in a file.
-fn load_space(name: &str) -> Result<Space, Failure> {
+fn load_space(name: &str) -> Result<ScenarioSpace, CliError> {
     if Path::new(name).extension().is_some_and(|extension| extension != "toml") {
-        return Err(Failure::Input(format!("{name}: a space file ends in .toml")));
+        return Err(CliError::Input(format!("{name}: a space file ends in .toml")));
     }
     find_space(name).map_err(|error| match error {
         FindSpaceError::File(error) => error.into(),
-        other => Failure::input(other),
+        other => CliError::input(other),
     })
 }

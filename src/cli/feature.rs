@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::Failure;
+use super::CliError;
 use crumple_report::draw::Svg;
 use crumple_world::sim::Trace;
 
@@ -41,7 +41,7 @@ impl Feature {
         let Self { name, used_for, .. } = self;
         Err(format!(
             "this build of crumple lacks the feature `{name}` ({used_for}): install it with `{}` in a clone",
-            self.command()
+            self.install_command()
         ))
     }
 }
@@ -63,8 +63,8 @@ pub(super) fn require_format(extension: &str) -> Result<(), String> {
 /// # Errors
 /// [`Failure::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
 #[cfg(feature = "png")]
-pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, Failure> {
-    figure.to_png(crumple_report::draw::PNG_SCALE).map_err(Failure::input)
+pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
+    figure.to_png(crumple_report::draw::PNG_SCALE).map_err(CliError::input)
 }
 
 #[cfg(not(feature = "png"))]
@@ -77,8 +77,8 @@ pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, Failure> {
 /// # Errors
 /// [`Failure::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
 #[cfg(feature = "parquet")]
-pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, Failure> {
-    crumple_report::export::parquet(trace).map_err(Failure::input)
+pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
+    crumple_report::export::to_parquet(trace).map_err(CliError::input)
 }
 
 #[cfg(not(feature = "parquet"))]

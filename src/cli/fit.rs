@@ -7,17 +7,17 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 
-use super::import::{min_brake, picture};
+use super::import::{parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
-use super::simulate::{Format, ending_in};
-use super::{Failure, choice, output};
+use super::simulate::{OutputFormat, parse_path_ending_in};
+use super::{CliError, value_enums, output};
 use crumple_core::digits;
-use crumple_core::quoted::Terminal;
-use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedNumber, FittedSize, MOST_VEHICLES, Sample, Taken, fit, shown_p};
+use crumple_core::quoting::TerminalText;
+use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedFeature, FittedSize, MAX_VEHICLES, Sample, ExtractionConfig, fit, format_p_value};
 use crumple_report::figures;
-use crumple_store::disk::Files;
+use crumple_store::disk::StagedFiles;
 use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{Leaders, load};
+use crumple_world::recording::{LeaderSelection, load};
 use crumple_world::scenario::space::file;
 
 /// Fit a search space to the braking episodes of recordings
@@ -46,12 +46,12 @@ pub(super) struct Fit {
     map: Option<PathBuf>,
     /// Whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
-    leaders: Leaders,
+    leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
     /// Vehicles of a scenario, the leader among them: 2 to 5. Episodes of fewer are left out, and of more the first ones taken
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=MOST_VEHICLES as i64))]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=MAX_VEHICLES as i64))]
     vehicles: u8,
     /// The space's name: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
@@ -63,17 +63,17 @@ pub(super) struct Fit {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Where the space goes
-    #[arg(long, value_name = "SPACE.toml", value_parser = space_file)]
+    #[arg(long, value_name = "SPACE.toml", value_parser = parse_space_path)]
     out: PathBuf,
     /// Draw what was observed and what was fitted, a panel for each number
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Overwrite a space, or a picture, that is there and says something else
     #[arg(long)]
     force: bool,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// A path that a space will be known by.
@@ -82,33 +82,33 @@ fn parse_space_path(path: &str) -> Result<PathBuf, String> {
 }
 
 impl Fit {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
-        let taken = Taken {
+        let taken = ExtractionConfig {
             vehicles: usize::from(self.vehicles),
-            min_brake: min_brake(self.min_brake)?,
+            min_brake: parse_min_brake(self.min_brake)?,
             leaders: self.leaders,
         };
         let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
         for path in &self.recordings {
             // Its episodes and hours would count twice, and everything look twice as certain.
             if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
-                return Err(Failure::Input(format!("{}: is given twice", path.display())));
+                return Err(CliError::Input(format!("{}: is given twice", path.display())));
             }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             recordings.push(recording);
         }
-        let sample = Sample::of(&recordings, taken).map_err(Failure::input)?;
-        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(Failure::input)?;
-        let text = file::to_toml(&fitted.space).map_err(Failure::input)?;
-        let mut files = Files::default();
+        let sample = Sample::of(&recordings, taken).map_err(CliError::input)?;
+        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
+        let text = file::to_toml(&fitted.space).map_err(CliError::input)?;
+        let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;
         if let Some(path) = &self.plot {
-            stage_unless_edited(&mut files, path, &picture(&figures::fitted(&fitted), path)?, self.force)?;
+            stage_unless_edited(&mut files, path, &render_figure(&figures::fitted(&fitted), path)?, self.force)?;
         }
         files.commit()?;
-        output::print_result(self.format, &to_json(&sample, &fitted), || in_words(&sample, &fitted))
+        output::print_result(self.format, &to_json(&sample, &fitted), || format_fit(&sample, &fitted))
     }
 }
 
@@ -116,11 +116,11 @@ fn to_json(sample: &Sample, fitted: &FittedSpace) -> serde_json::Value {
     json!({
         "space": fitted.space.name(),
         "exposure": sample.exposure,
-        "waves": waves(sample),
+        "waves": cluster_count(sample),
         "left_out": sample.left_out,
-        "numbers": fitted.numbers,
+        "numbers": fitted.features,
         "sizes": fitted.sizes,
-        "depending": fitted.depending,
+        "depending": fitted.copula_parameters,
         "correlation": fitted.correlation,
     })
 }
@@ -138,10 +138,10 @@ fn format_fit(sample: &Sample, fitted: &FittedSpace) -> String {
 
 fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
     let Sample { exposure, taken, left_out, sizes, outside_by, .. } = sample;
-    let waves = waves(sample);
+    let waves = cluster_count(sample);
     writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
     for source in &exposure.sources {
-        let (name, hours, kilometres) = (Terminal(&source.name), source.hours, source.kilometres);
+        let (name, hours, kilometres) = (TerminalText(&source.name), source.hours, source.kilometres);
         writeln!(out, "  {name}: {} episodes in {hours:.4} h, {kilometres:.2} km of following", source.episodes)?;
     }
     if exposure.left_out > 0 {
@@ -154,7 +154,7 @@ fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fm
         writeln!(out, "  Outside the ranges is most often {by}")?;
     }
     sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.in_words(index)))?;
-    for number in &fitted.numbers {
+    for number in &fitted.features {
         write_feature(number, out)?;
     }
     for FittedSize { name, values, .. } in &fitted.sizes {
@@ -165,7 +165,7 @@ fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fm
         writeln!(out, "\n{name}: {}", each.collect::<Vec<_>>().join(", "))?;
     }
     writeln!(out, "\nhow they depend on each other: correlations of the normal numbers behind them")?;
-    for (name, row) in fitted.depending.iter().zip(&fitted.correlation) {
+    for (name, row) in fitted.copula_parameters.iter().zip(&fitted.correlation) {
         let entries: Vec<_> = row.iter().map(|entry| format!("{entry:>6.2}")).collect();
         writeln!(out, "  {name:<18} {}", entries.join(" "))?;
     }
@@ -173,34 +173,34 @@ fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fm
         out,
         "\np-values: the share of {} samples of the fitted distribution, fitted again, that are as far from their fit. The family was chosen \
          by the same values, so that they are rather too large. A Gaussian copula has no dependence in its far corners.",
-        fitted.numbers.first().map_or(0, |number| number.goodness.samples)
+        fitted.features.first().map_or(0, |number| number.goodness.samples)
     )
 }
 
-fn write_feature(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
-    let FittedNumber { name, unit, point_mass, chosen, others, impossible, goodness, tails, sorted, .. } = number;
+fn write_feature(number: &FittedFeature, out: &mut String) -> std::fmt::Result {
+    let FittedFeature { name, unit, point_mass, chosen, others, impossible, goodness, tails, sorted, .. } = number;
     let unit = if *unit == "1" { "" } else { unit };
-    writeln!(out, "\n{name}: {}, {}", chosen.family.name(), estimates(chosen))?;
+    writeln!(out, "\n{name}: {}, {}", chosen.family.name(), format_estimates(chosen))?;
     if let Some(point) = point_mass {
         let ([low, high], all) = (point.interval_95, sorted.len());
         writeln!(
             out,
             "  {} {unit} in {} of {all}: probability {:.4} ({low:.4} to {high:.4}); the rest is of the others",
-            point.at, point.seen, point.probability
+            point.at, point.count, point.probability
         )?;
     }
     let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
-    let (ks_p, cvm_p) = (shown_p(goodness.kolmogorov_smirnov_p), shown_p(goodness.cramer_von_mises_p));
+    let (ks_p, cvm_p) = (format_p_value(goodness.kolmogorov_smirnov_p), format_p_value(goodness.cramer_von_mises_p));
     writeln!(out, "  Kolmogorov-Smirnov {ks:.3}, p {ks_p}; Cramér-von Mises {cvm:.3}, p {cvm_p}")?;
     writeln!(
         out,
         "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} {unit} ({} in the \
          highest)",
-        digits::nearest(tails.below_smallest, 3),
-        sorted.len() as u64 - point_mass.map_or(0, |point| point.seen),
+        digits::format_rounded(tails.below_smallest, 3),
+        sorted.len() as u64 - point_mass.map_or(0, |point| point.count),
         tails.smallest,
         tails.in_lower_tenth,
-        digits::nearest(tails.beyond_largest, 3),
+        digits::format_rounded(tails.beyond_largest, 3),
         tails.largest,
         tails.in_upper_tenth
     )?;
@@ -216,7 +216,7 @@ fn write_feature(number: &FittedNumber, out: &mut String) -> std::fmt::Result {
 /// The parameters of a fit and their intervals.
 fn format_estimates(fit: &FamilyFit) -> String {
     let of = |which: usize| {
-        let estimate = format!("{} {:.4}", fit.names[which], fit.estimates[which]);
+        let estimate = format!("{} {:.4}", fit.parameter_names[which], fit.estimates[which]);
         match fit.intervals_95 {
             Some(intervals) => format!("{estimate} ({:.4} to {:.4})", intervals[which][0], intervals[which][1]),
             None => format!("{estimate} (no interval: the likelihood is flat, or at its limit)"),

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::assess::{EVIDENCE, LISTING_FILE};
-use super::simulate::Format;
-use super::{Failure, output};
-use crumple_core::quoted::Terminal;
-use crumple_report::assessment::REPORT;
-use crumple_search::falsify::campaign::{CAMPAIGN, Sharding, with_journal};
-use crumple_store::work::{Examined, examine, is_there};
+use super::assess::{EVIDENCE_FOLDER, LISTING_FILE};
+use super::simulate::OutputFormat;
+use super::{CliError, output};
+use crumple_core::quoting::TerminalText;
+use crumple_report::assessment::REPORT_KIND;
+use crumple_search::falsify::campaign::{CAMPAIGN_KIND, Sharding, verify_journal};
+use crumple_store::run_folder::{FolderExamination, examine, is_run_folder};
 
 /// Look at folders of work: is every file what was written there?
 #[derive(Args)]
@@ -36,7 +36,7 @@ pub(super) struct Fsck {
     folders: Vec<PathBuf>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What was found in a folder, for programs.
@@ -67,7 +67,7 @@ struct DamagedFile {
 
 impl FolderReport {
     /// Of what cannot be looked at.
-    fn unreadable(folder: &Path, failure: &Failure) -> Self {
+    fn unreadable(folder: &Path, failure: &CliError) -> Self {
         Self {
             folder: folder.display().to_string(),
             error: Some(failure.to_string()),
@@ -77,13 +77,13 @@ impl FolderReport {
             is_whole: false,
             files: 0,
             damaged: Vec::new(),
-            strangers: Vec::new(),
-            beside: Vec::new(),
+            unlisted_files: Vec::new(),
+            other_files: Vec::new(),
             missing_evaluations: 0,
         }
     }
 
-    fn new(folder: &Path, found: &Examined, missing_evaluations: u64) -> Self {
+    fn new(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> Self {
         let damaged = found.files.iter().filter_map(|(name, state)| {
             let problem = state.as_ref().err()?.clone();
             Some(DamagedFile { name: name.clone(), problem })
@@ -92,24 +92,24 @@ impl FolderReport {
             folder: folder.display().to_string(),
             error: None,
             kind: Some(found.kind.clone()),
-            complete: found.complete,
+            complete: found.is_complete,
             is_of_this_build: found.is_of_this_build,
-            is_whole: found.is_whole(),
+            is_whole: found.is_intact(),
             files: found.files.len(),
             damaged: damaged.collect(),
-            strangers: found.strangers.clone(),
-            beside: found.beside.clone(),
+            unlisted_files: found.unlisted_files.clone(),
+            other_files: found.unrelated_files.clone(),
             missing_evaluations,
         }
     }
 }
 
 impl Fsck {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), None);
         for folder in self.folders.iter().flat_map(|folder| run_folders_in(folder)) {
-            let found = Self::look(&folder, &mut text).unwrap_or_else(|failure| {
-                text += &format!("{}\n", Terminal(&failure.to_string()));
+            let found = Self::examine_folder(&folder, &mut text).unwrap_or_else(|failure| {
+                text += &format!("{}\n", TerminalText(&failure.to_string()));
                 let found = FolderReport::unreadable(&folder, &failure);
                 unreadable.get_or_insert(failure);
                 found
@@ -117,8 +117,8 @@ impl Fsck {
             all.push(found);
         }
         let printed = match self.format {
-            Format::Json => output::print_json(&all),
-            Format::Text => output::print_coloured(Format::Text, &text),
+            OutputFormat::Json => output::print_json(&all),
+            OutputFormat::Text => output::print_coloured(OutputFormat::Text, &text),
         };
         let folders = |is_wanted: &dyn Fn(&FolderReport) -> bool| -> String {
             let folders: Vec<&str> =
@@ -129,28 +129,28 @@ impl Fsck {
         let unlooked = folders(&|found| found.error.is_some());
         let gate = match (damaged.is_empty(), unlooked.is_empty()) {
             (true, _) => unreadable.map_or(Ok(()), Err),
-            (false, true) => Err(Failure::Gate(format!("damaged: {damaged}"))),
-            (false, false) => Err(Failure::Gate(format!("damaged: {damaged}; could not be looked at: {unlooked}"))),
+            (false, true) => Err(CliError::Gate(format!("damaged: {damaged}"))),
+            (false, false) => Err(CliError::Gate(format!("damaged: {damaged}; could not be looked at: {unlooked}"))),
         };
-        Failure::gate_first(gate, printed)
+        CliError::gate_first(gate, printed)
     }
 
     /// What there is in a folder; the text says it to a reader.
-    fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, Failure> {
-        if !is_there(folder) {
+    fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
+        if !is_run_folder(folder) {
             let problem = "no folder of work: it holds no work.json";
-            return Err(Failure::Input(format!("{}: {problem}", folder.display())));
+            return Err(CliError::Input(format!("{}: {problem}", folder.display())));
         }
-        let mut found = with_journal(folder, examine(folder)?)?;
-        if found.kind == REPORT {
+        let mut found = verify_journal(folder, examine(folder)?)?;
+        if found.kind == REPORT_KIND {
             // Both are for the next report, and have hashes of their own.
-            found.beside.retain(|name| name != EVIDENCE && name != LISTING_FILE);
+            found.unrelated_files.retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
         }
         // A part of a campaign is as it was written, and yet is not all of it.
-        let part = Sharding::in_folder(folder).filter(|_| found.kind == CAMPAIGN && found.complete);
-        let missing = part.map_or(0, |part| part.missing());
-        *text += &described(folder, &found, missing);
-        Ok(FolderReport::of(folder, &found, missing))
+        let part = Sharding::load_from_folder(folder).filter(|_| found.kind == CAMPAIGN_KIND && found.is_complete);
+        let missing = part.map_or(0, |part| part.missing_evaluation_count());
+        *text += &format_report(folder, &found, missing);
+        Ok(FolderReport::new(folder, &found, missing))
     }
 }
 
@@ -162,40 +162,40 @@ fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
     let inner = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
     seeds.sort_unstable();
-    if seeds.is_empty() || is_there(folder) { vec![folder.to_owned()] } else { seeds }
+    if seeds.is_empty() || is_run_folder(folder) { vec![folder.to_owned()] } else { seeds }
 }
 
-fn format_report(folder: &Path, found: &Examined, missing_evaluations: u64) -> String {
+fn format_report(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
     let part =
         format!("put together without {missing_evaluations} evaluations of each method, whose shards were missing");
-    let state = match (found.complete, found.is_of_this_build) {
+    let state = match (found.is_complete, found.is_of_this_build) {
         (true, _) if missing_evaluations > 0 => &part,
         (true, _) => "complete",
-        (false, true) if !found.is_whole() => "half done",
+        (false, true) if !found.is_intact() => "half done",
         (false, true) => "half done, --resume goes on with it",
         (false, false) => "half done by another build of crumple, which alone goes on with it",
     };
     let whole = found.files.iter().filter(|(_, state)| state.is_ok()).count();
     let mut text = format!(
         "{}: a {}, {state}; {whole} of {} files are whole\n",
-        Terminal(&folder.display().to_string()),
-        Terminal(&found.kind),
+        TerminalText(&folder.display().to_string()),
+        TerminalText(&found.kind),
         found.files.len()
     );
     for (name, state) in &found.files {
         if let Err(problem) = state {
-            text += &format!("  {}: {problem}\n", Terminal(name));
+            text += &format!("  {}: {problem}\n", TerminalText(name));
         }
     }
     if is_damaged {
         text += "  damaged work cannot be resumed: begin anew in another --out\n";
     }
-    for name in &found.strangers {
-        text += &format!("  {}: not of this work, and where only its files may be: move it away\n", Terminal(name));
+    for name in &found.unlisted_files {
+        text += &format!("  {}: not of this work, and where only its files may be: move it away\n", TerminalText(name));
     }
-    for name in &found.beside {
-        text += &format!("  {}: not of this work\n", Terminal(name));
+    for name in &found.unrelated_files {
+        text += &format!("  {}: not of this work\n", TerminalText(name));
     }
     text
 }

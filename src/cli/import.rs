@@ -7,17 +7,17 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::Failure;
+use super::CliError;
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
-use super::simulate::Format;
-use super::{choice, feature, output, simulate};
-use crumple_core::quoted::Terminal;
+use super::simulate::OutputFormat;
+use super::{value_enums, feature, output, simulate};
+use crumple_core::quoting::TerminalText;
 use crumple_report::draw::Svg;
 use crumple_report::figures;
-use crumple_store::disk::{DiskError, Files};
+use crumple_store::disk::{DiskError, StagedFiles};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    ImportOptions, ImportResult, ImportedScenario, Leaders, MinBrake, Preview, Source, hardest_braking, import, load,
+    ImportOptions, ImportResult, ImportedScenario, LeaderSelection, MinBrake, Preview, ImportedRecording, hardest_braking, import, load,
     preview,
 };
 
@@ -46,12 +46,12 @@ pub(super) struct Import {
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
     /// Say what was understood of the one recording, and draw it; no scenario is written, and no threshold matters
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::ending_in(path, ["svg", "png"]),
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]),
           conflicts_with_all = ["out", "leaders", "min_brake"])]
     preview: Option<PathBuf>,
     /// Whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
-    leaders: Leaders,
+    leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
@@ -63,7 +63,7 @@ pub(super) struct Import {
     force: bool,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// What was understood of a recording, for programs.
@@ -101,7 +101,7 @@ struct RecordingImport {
 
 impl ImportReport {
     fn new(imported: &ImportResult, out: &Path) -> Self {
-        let one = |source: &Source| RecordingImport {
+        let one = |source: &ImportedRecording| RecordingImport {
             recording: source.path.display().to_string(),
             format: source.format.name().to_owned(),
             scenarios: source.scenarios,
@@ -117,32 +117,32 @@ impl ImportReport {
 }
 
 /// The threshold of the option `--min-brake`.
-pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, Failure> {
+pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliError> {
     let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
-    MinBrake::new(mps2).map_err(|error| Failure::Input(format!("--min-brake: {error}")))
+    MinBrake::new(mps2).map_err(|error| CliError::Input(format!("--min-brake: {error}")))
 }
 
 /// A picture as the file's name wants it: PNG, or else SVG.
-pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, Failure> {
+pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliError> {
     match path.extension() {
-        Some(png) if png == "png" => feature::png(drawn),
+        Some(png) if png == "png" => feature::render_png(drawn),
         _ => Ok(drawn.document().into_bytes()),
     }
 }
 
 impl Import {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
         if let Some(picture) = &self.preview {
-            return self.show(picture, map.as_ref(), quiet);
+            return self.show_preview(picture, map.as_ref(), quiet);
         }
         self.import(map.as_ref(), quiet)
     }
 
     /// What was understood, in words and as a picture.
-    fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
+    fn show_preview(&self, picture: &Path, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let [path] = self.recordings.as_slice() else {
-            return Err(Failure::Input("--preview: shows one recording at a time".to_owned()));
+            return Err(CliError::Input("--preview: shows one recording at a time".to_owned()));
         };
         let recording = load(path, map)?;
         for dropped in &recording.dropped {
@@ -150,17 +150,17 @@ impl Import {
         }
         let name = path.display().to_string();
         let Some(seen) = preview(&recording) else {
-            return Err(Failure::Gate(format!("{name}: {}", hardest_braking(&recording))));
+            return Err(CliError::Gate(format!("{name}: {}", hardest_braking(&recording))));
         };
-        let drawn = self::picture(&figures::recorded(&seen, &name), picture)?;
-        let mut files = Files::default();
+        let drawn = self::render_figure(&figures::draw_recording(&seen, &name), picture)?;
+        let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
-        if self.format == Format::Json {
+        if self.format == OutputFormat::Json {
             return output::print_json(&RecordingSummary {
                 recording: &name,
                 format: recording.format.name(),
-                leads: seen.leads,
+                leads: seen.lead_vehicles,
                 samples: seen.samples,
                 time_s: seen.time_s,
                 step_s: seen.step_s,
@@ -170,8 +170,8 @@ impl Import {
                 left_out: recording.dropped.iter().map(ToString::to_string).collect(),
             });
         }
-        let Preview { leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
-        let mut text = format!("{}: {}\n", Terminal(&name), recording.format.name());
+        let Preview { lead_vehicles: leads, samples, time_s: [from_s, to_s], step_s, speed_mps: [slow, usual, fast], .. } = seen;
+        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format.name());
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=
             &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
@@ -180,12 +180,12 @@ impl Import {
             Some([near, usual, far]) => format!("  bumper gap {near:.2} to {far:.2} m, median {usual:.2}\n"),
             None => "  nobody follows anybody\n".to_owned(),
         };
-        text += &format!("  {}\n", Terminal(&seen.hardest.to_string()));
+        text += &format!("  {}\n", TerminalText(&seen.hardest.to_string()));
         output::print(&text)
     }
 
-    fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), Failure> {
-        let (min_brake, leaders) = (min_brake(self.min_brake)?, self.leaders);
+    fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
+        let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
@@ -193,14 +193,14 @@ impl Import {
             let words: Vec<_> = words.collect();
             let none = format!("no episode of {} m/s² that makes a scenario; {}", min_brake.mps2(), words.join("; "));
             let printed = match self.format {
-                Format::Json => output::print_json(&ImportReport::of(&imported, &self.out)),
-                Format::Text => Ok(()),
+                OutputFormat::Json => output::print_json(&ImportReport::new(&imported, &self.out)),
+                OutputFormat::Text => Ok(()),
             };
-            return Failure::gate_first(Err(Failure::Gate(none)), printed);
+            return CliError::gate_first(Err(CliError::Gate(none)), printed);
         }
         let file = |scenario: &ImportedScenario| (scenario.file_name.clone(), scenario.toml.clone().into_bytes());
         let files: Vec<_> = imported.scenarios.iter().map(file).collect();
-        OutputFolder::unlisted(&self.out, self.force).write(&files, EarlierFiles::Stay)?;
+        OutputFolder::without_listing(&self.out, self.force).write(&files, EarlierFiles::Keep)?;
         let others = self.count_other_scenarios(&imported)?;
         if others > 0 {
             let out = self.out.display();
@@ -209,17 +209,17 @@ impl Import {
         for dropped in &imported.dropped {
             output::note(&dropped.to_string(), quiet);
         }
-        let line = |source: &Source| {
+        let line = |source: &ImportedRecording| {
             let plural = if source.scenarios == 1 { "" } else { "s" };
             let (path, format) = (source.path.display().to_string(), source.format.name());
-            format!("{}: {} scenario{plural} ({format})\n", Terminal(&path), source.scenarios)
+            format!("{}: {} scenario{plural} ({format})\n", TerminalText(&path), source.scenarios)
         };
         let words = || imported.sources.iter().map(line).collect();
-        output::print_result(self.format, &ImportReport::of(&imported, &self.out), words)
+        output::print_result(self.format, &ImportReport::new(&imported, &self.out), words)
     }
 
     /// Scenario files in the folder that this import did not write, such as those of an earlier one with another threshold.
-    fn count_other_scenarios(&self, imported: &ImportResult) -> Result<usize, Failure> {
+    fn count_other_scenarios(&self, imported: &ImportResult) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);
         let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");

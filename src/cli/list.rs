@@ -5,11 +5,11 @@ use std::fmt::Write;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, output};
+use super::simulate::OutputFormat;
+use super::{CliError, output};
 use crumple_search::falsify::Method;
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::built_in_names;
+use crumple_world::scenario::built_in_scenario_names;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
 
 const SHIELD_ENTRY: (&str, &str) =
@@ -31,7 +31,7 @@ pub(super) struct ListCommand {
     what: Option<Catalogue>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -62,18 +62,18 @@ impl Catalogue {
         }
     }
 
-    fn entries(self) -> Vec<Entry> {
-        let entry = |(name, summary): (_, &str)| Entry { name, summary: summary.to_owned() };
+    fn entries(self) -> Vec<CatalogueEntry> {
+        let entry = |(name, summary): (_, &str)| CatalogueEntry { name, summary: summary.to_owned() };
         match self {
-            Self::Scenarios => built_in_names().map(entry).into(),
+            Self::Scenarios => built_in_scenario_names().map(entry).into(),
             Self::Controllers => {
-                let built_in = ControllerSpec::built_in();
+                let built_in = ControllerSpec::all();
                 let own = built_in.iter().map(|spec| {
                     let settings: Vec<_> =
                         spec.values().map(|(field, value)| format!("{}={value}", field.name)).collect();
                     let settings =
                         if settings.is_empty() { String::new() } else { format!("; {}", settings.join(",")) };
-                    Entry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
+                    CatalogueEntry { name: spec.name(), summary: format!("{}{settings}", spec.summary()) }
                 });
                 own.chain([entry(SHIELD_ENTRY)]).collect()
             }
@@ -84,14 +84,14 @@ impl Catalogue {
 }
 
 impl ListCommand {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let catalogues = match self.what {
             Some(one) => vec![one],
             None => Catalogue::value_variants().to_vec(),
         };
         let entries = |one: &Catalogue| (one.title().to_owned(), serde_json::json!(one.entries()));
         let all: serde_json::Map<_, _> = catalogues.iter().map(entries).collect();
-        output::print_result(self.format, &all, || table(&catalogues))
+        output::print_result(self.format, &all, || format_catalogues(&catalogues))
     }
 }
 
@@ -103,11 +103,11 @@ fn format_catalogues(catalogues: &[Catalogue]) -> String {
             // Writing to a string cannot fail.
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
-        for Entry { name, summary } in catalogue.entries() {
+        for CatalogueEntry { name, summary } in catalogue.entries() {
             let _ = writeln!(text, "  {name:<20}{summary}");
         }
         if let Catalogue::Controllers = catalogue {
-            let (name, summary) = FILES;
+            let (name, summary) = FILE_ENTRY;
             let _ = writeln!(text, "  {name:<20}{summary}");
         }
     }

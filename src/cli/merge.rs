@@ -5,18 +5,18 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, assess, exposed, falsify, output, rare, suite, train, verify};
+use super::simulate::OutputFormat;
+use super::{CliError, assess, exposure, falsify, output, rare, suite, train, verify};
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
-use crumple_evidence::exposure::ExposedRate;
+use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{MergedEstimate, ESTIMATE_SHARD_KIND};
-use crumple_evidence::{MergedCount, COUNT_SHARD_KIND, SoFar};
-use crumple_learn::rl::{MergedTrainings, is_of_trainings};
+use crumple_evidence::{MergedCount, COUNT_SHARD_KIND, PartialCount};
+use crumple_learn::rl::{MergedTrainings, is_trainings_folder};
 use crumple_report::assessment::{MergedEvidence, ASSESSMENT_SHARD_KIND};
 use crumple_search::falsify::campaign::{MergedCampaign, CAMPAIGN_SHARD_KIND};
-use crumple_store::shard::{MergeError, as_array};
-use crumple_store::work::{Finished, Found, find};
+use crumple_store::shard::{MergeError, format_ranges};
+use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 
 /// Put shards together that were made on several machines (see --shard)
@@ -77,12 +77,12 @@ enum MergeFormat {
 }
 
 impl MergeFormat {
-    fn suite_format(self) -> suite::Format {
+    fn suite_format(self) -> suite::SuiteFormat {
         match self {
-            Self::Text => suite::Format::Text,
-            Self::Json => suite::Format::Json,
-            Self::Junit => suite::Format::Junit,
-            Self::Html => suite::Format::Html,
+            Self::Text => suite::SuiteFormat::Text,
+            Self::Json => suite::SuiteFormat::Json,
+            Self::Junit => suite::SuiteFormat::Junit,
+            Self::Html => suite::SuiteFormat::Html,
         }
     }
 }
@@ -97,25 +97,25 @@ enum ShardFolder {
     /// A part of trainings, finished or not: each seed has a folder of its own.
     Trainings,
     /// Any other, finished.
-    Finished(Finished),
+    Finished(CompletedRun),
 }
 
 impl ShardFolder {
     /// What could be merged, or why there is nothing yet.
-    fn open(folder: &Path) -> Result<Result<Self, String>, Failure> {
-        if is_of_trainings(folder) {
+    fn open(folder: &Path) -> Result<Result<Self, String>, CliError> {
+        if is_trainings_folder(folder) {
             return Ok(Ok(Self::Trainings));
         }
-        Ok(match find(folder)? {
-            Found::Nothing => Err("not begun".to_owned()),
-            Found::HalfDone(kind) => Err(format!("a {kind}, half done")),
-            Found::Finished(found) => Ok(Self::Finished(found)),
+        Ok(match read_state(folder)? {
+            RunState::Missing => Err("not begun".to_owned()),
+            RunState::InProgress(kind) => Err(format!("a {kind}, half done")),
+            RunState::Complete(found) => Ok(Self::Finished(found)),
         })
     }
 
     fn kind(&self) -> &str {
         match self {
-            Self::Trainings => TRAININGS,
+            Self::Trainings => SHARD_OF_TRAININGS,
             Self::Finished(found) => found.kind(),
         }
     }
@@ -134,20 +134,20 @@ enum AnyMerged {
 }
 
 impl AnyMerged {
-    fn from_shard(folder: &Path, shard: &ShardFolder) -> Result<Self, Failure> {
+    fn from_shard(folder: &Path, shard: &ShardFolder) -> Result<Self, CliError> {
         let found = match shard {
             ShardFolder::Finished(found) => found,
-            ShardFolder::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::of(folder)?))),
+            ShardFolder::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::from_shard(folder)?))),
         };
         Ok(match found.kind() {
-            COUNT_SHARD_KIND => Self::Count(MergedCount::of(folder, found)?),
-            ESTIMATE_SHARD_KIND => Self::Estimate(Box::new(MergedEstimate::of(folder, found)?)),
-            CAMPAIGN_SHARD_KIND => Self::Campaign(Box::new(MergedCampaign::of(folder, found)?)),
-            SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::of(folder, found)?)),
-            ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::of(folder, found)?)),
+            COUNT_SHARD_KIND => Self::Count(MergedCount::new(folder, found)?),
+            ESTIMATE_SHARD_KIND => Self::Estimate(Box::new(MergedEstimate::new(folder, found)?)),
+            CAMPAIGN_SHARD_KIND => Self::Campaign(Box::new(MergedCampaign::from_shard(folder, found)?)),
+            SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::new(folder, found)?)),
+            ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::new(folder, found)?)),
             kind => {
                 let problem = format!("{}: a {kind}, and no shard that can be merged", folder.display());
-                return Err(Failure::Input(problem));
+                return Err(CliError::Input(problem));
             }
         })
     }
@@ -159,23 +159,23 @@ impl AnyMerged {
             Self::Campaign(_) => CAMPAIGN_SHARD_KIND,
             Self::Suite(_) => SUITE_SHARD_KIND,
             Self::Assessment(_) => ASSESSMENT_SHARD_KIND,
-            Self::Trainings(_) => TRAININGS,
+            Self::Trainings(_) => SHARD_OF_TRAININGS,
         }
     }
 
-    fn add_shard(&mut self, folder: &Path, shard: &ShardFolder) -> Result<(), Failure> {
+    fn add_shard(&mut self, folder: &Path, shard: &ShardFolder) -> Result<(), CliError> {
         let (kind, own) = (shard.kind(), self.kind());
         let is_same = kind == own;
         let taken = match (self, shard) {
-            (Self::Trainings(merged), ShardFolder::Trainings) => return Ok(merged.take(folder)?),
-            (Self::Count(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Estimate(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Campaign(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
-            (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.take(folder, found),
+            (Self::Trainings(merged), ShardFolder::Trainings) => return Ok(merged.add_shard(folder)?),
+            (Self::Count(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
+            (Self::Estimate(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
+            (Self::Campaign(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
+            (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
+            (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
             _ => {
                 let problem = format!("{}: a {kind}, and what came before it is a {own}", folder.display());
-                return Err(Failure::Input(problem));
+                return Err(CliError::Input(problem));
             }
         };
         Ok(taken?)
@@ -190,33 +190,33 @@ fn resolve_path(path: &Path) -> PathBuf {
 }
 
 impl Merge {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if self.folders.len() > MAX_FOLDERS {
-            return Err(Failure::Input(format!("{} folders: at most {MOST_FOLDERS} are read", self.folders.len())));
+            return Err(CliError::Input(format!("{} folders: at most {MAX_FOLDERS} are read", self.folders.len())));
         }
         self.check_out_folder()?;
         let (mut merged, mut open): (Option<AnyMerged>, _) = (None, Vec::new());
         for folder in &self.folders {
-            match (ShardFolder::in_folder(folder)?, &mut merged) {
+            match (ShardFolder::open(folder)?, &mut merged) {
                 (Err(why), _) => open.push(format!("{}: {why}", folder.display())),
-                (Ok(shard), None) => merged = Some(AnyMerged::of(folder, &shard)?),
-                (Ok(shard), Some(merged)) => merged.take(folder, &shard)?,
+                (Ok(shard), None) => merged = Some(AnyMerged::from_shard(folder, &shard)?),
+                (Ok(shard), Some(merged)) => merged.add_shard(folder, &shard)?,
             }
         }
         for folder in &open {
             output::note(folder, quiet);
         }
         let Some(merged) = merged else {
-            return Err(Failure::Gate("none of these folders holds a finished shard".to_owned()));
+            return Err(CliError::Gate("none of these folders holds a finished shard".to_owned()));
         };
         if self.partial && !matches!(merged, AnyMerged::Campaign(_)) {
             let kind = merged.kind();
-            return Err(Failure::Input(format!("--partial: only of a search a part is of use, and these are: {kind}")));
+            return Err(CliError::Input(format!("--partial: only of a search a part is of use, and these are: {kind}")));
         }
         let format = self.text_or_json_format(merged.kind());
         match merged {
-            AnyMerged::Suite(merged) => suite::merge(&merged, &self.out, self.format.of_suite(), quiet),
-            AnyMerged::Count(merged) => self.count(&merged, format?),
+            AnyMerged::Suite(merged) => suite::merge(&merged, &self.out, self.format.suite_format(), quiet),
+            AnyMerged::Count(merged) => self.write_count(&merged, format?),
             AnyMerged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
             AnyMerged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),
             AnyMerged::Assessment(merged) => assess::merge(&merged, &self.out, format?),
@@ -225,64 +225,64 @@ impl Merge {
     }
 
     /// Whether the whole goes into none of the shards, where it would be taken for theirs.
-    fn check_out_folder(&self) -> Result<(), Failure> {
-        let out = resolved(&self.out);
+    fn check_out_folder(&self) -> Result<(), CliError> {
+        let out = resolve_path(&self.out);
         match self.folders.iter().find(|folder| folder.canonicalize().is_ok_and(|folder| out.starts_with(folder))) {
             None => Ok(()),
             Some(shard) => {
                 let (out, shard) = (self.out.display(), shard.display());
-                Err(Failure::Input(format!(
+                Err(CliError::Input(format!(
                     "--out: {out} is, or is in, {shard}, which is one of the shards: use another"
                 )))
             }
         }
     }
 
-    fn text_or_json_format(&self, kind: &str) -> Result<Format, Failure> {
+    fn text_or_json_format(&self, kind: &str) -> Result<Format, CliError> {
         match self.format {
             MergeFormat::Text => Ok(Format::Text),
             MergeFormat::Json => Ok(Format::Json),
             MergeFormat::Junit | MergeFormat::Html => {
-                Err(Failure::Input(format!("--format: JUnit and HTML are of suites, and these are: {kind}")))
+                Err(CliError::Input(format!("--format: JUnit and HTML are of suites, and these are: {kind}")))
             }
         }
     }
 
-    fn write_count(&self, merged: &MergedCount, format: Format) -> Result<(), Failure> {
+    fn write_count(&self, merged: &MergedCount, format: Format) -> Result<(), CliError> {
         let written = match merged.write_in(&self.out) {
             // What was counted is an answer, too.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let printed = match format {
-                    Format::Json => output::print_json(&merged.so_far()),
+                    Format::Json => output::print_json(&merged.partial_count()),
                     Format::Text => {
                         let tally = merged.tally().unwrap_or_default();
-                        output::print(&verify::counted(merged.record().is_of_two(), &tally))
+                        output::print(&verify::tally_line(merged.record().is_comparison(), &tally))
                     }
                 };
-                return Failure::gate_first(Err(rejected.into()), printed);
+                return CliError::gate_first(Err(rejected.into()), printed);
             }
             written => written?,
         };
         let Some((path, certificate)) = written else {
-            let so_far = merged.so_far();
+            let so_far = merged.partial_count();
             let printed = match format {
                 Format::Json => output::print_json(&so_far),
-                Format::Text => output::print(&incomplete(&so_far)),
+                Format::Text => output::print(&format_incomplete(&so_far)),
             };
             let runs: u64 = so_far.missing_runs.iter().map(|[start, end]| end.saturating_sub(*start)).sum();
-            return Failure::gate_first(
-                Err(Failure::Gate(format!("{runs} runs are missing, and nothing is written"))),
+            return CliError::gate_first(
+                Err(CliError::Gate(format!("{runs} runs are missing, and nothing is written"))),
                 printed,
             );
         };
-        let said = verify::judged(&path, &certificate)?;
-        let exposed = merged.exposed()?;
+        let said = verify::certificate_verdict(&path, &certificate)?;
+        let exposed = merged.rate_per_exposure()?;
         match format {
-            Format::Json => output::print_json(&MergedCountReport { count: merged.so_far(), exposed }),
+            Format::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
             Format::Text => {
                 let tally = merged.tally().unwrap_or_default();
-                let exposed = exposed.map(|rate| exposure::text(&rate)).unwrap_or_default();
-                let counted = verify::counted(merged.record().is_of_two(), &tally);
+                let exposed = exposed.map(|rate| exposure::format_rate(&rate)).unwrap_or_default();
+                let counted = verify::tally_line(merged.record().is_comparison(), &tally);
                 output::print_coloured(Format::Text, &format!("{counted}{said}{exposed}"))
             }
         }
@@ -293,20 +293,20 @@ impl Merge {
 #[derive(Serialize)]
 struct MergedCountReport {
     #[serde(flatten)]
-    count: SoFar,
+    count: PartialCount,
     /// What the failures come to per hour, where the space says in how much driving it was seen.
     #[serde(skip_serializing_if = "Option::is_none")]
-    exposed: Option<ExposedRate>,
+    exposed: Option<RatePerExposure>,
 }
 
 /// What is there, and what is not.
-fn format_incomplete(so_far: &SoFar) -> String {
-    let SoFar { registered_runs, runs, shards, missing_runs, missing_shards, .. } = so_far;
+fn format_incomplete(so_far: &PartialCount) -> String {
+    let PartialCount { registered_runs, runs, shards, missing_runs, missing_shards, .. } = so_far;
     let plural = if *shards == 1 { "" } else { "s" };
     let mut text = format!("{runs} of {registered_runs} runs, in {shards} shard{plural}\n");
     let mut line = |words: String| text += &format!("  {words}\n");
-    match so_far.of_shards {
-        Some(of) if *runs > 0 => line(format!("missing of {of} shards: {}", as_array(missing_shards))),
+    match so_far.shard_count {
+        Some(of) if *runs > 0 => line(format!("missing of {of} shards: {}", format_ranges(missing_shards))),
         _ => {
             for [start, end] in missing_runs.iter().take(MAX_PRINTED_RANGES) {
                 line(format!("missing: runs {start} to {}", end.saturating_sub(1)));
@@ -320,7 +320,7 @@ fn format_incomplete(so_far: &SoFar) -> String {
         Some(bound) => line(format!(
             "{} failures so far; were all missing runs failures too, the bound would be a rate of {}",
             so_far.failures,
-            digits::up(bound, 4)
+            digits::format_rounded_up(bound, 4)
         )),
         None => line(format!(
             "so far {} runs in which only the first failed, {} only the second",
@@ -330,10 +330,10 @@ fn format_incomplete(so_far: &SoFar) -> String {
     text
 }
 
-impl From<MergeError> for Failure {
+impl From<MergeError> for CliError {
     fn from(error: MergeError) -> Self {
         match error {
-            MergeError::Work(error) => error.into(),
+            MergeError::RunFolder(error) => error.into(),
             other => Self::input(other),
         }
     }

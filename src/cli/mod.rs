@@ -54,7 +54,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use crumple_world::control::allow_external;
 
-use error::Failure;
+use error::CliError;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -95,13 +95,13 @@ enum CliCommand {
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
     Check(check::Check),
-    Benchmark(benchmark::Measure),
+    Benchmark(benchmark::BenchmarkCommand),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
-    Plan(Box<plan::Plan>),
+    Plan(Box<plan::PlanCommand>),
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
-    List(list::List),
+    List(list::ListCommand),
     Show(show::Show),
     Describe(describe::Describe),
     Doctor(doctor::Doctor),
@@ -117,7 +117,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         allow_external();
     }
     let arguments =
-        match commands().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
+        match build_command().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
             Ok(arguments) => arguments,
             Err(usage) => {
                 // Help and version are not errors; clap prints them to standard output.
@@ -155,13 +155,13 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Show(command) => command.run(quiet),
         CliCommand::Describe(command) => command.run(),
         CliCommand::Doctor(command) => command.run(),
-        CliCommand::Completions(command) => command.run(commands()),
-        CliCommand::Man(command) => command.run(commands(), quiet),
+        CliCommand::Completions(command) => command.run(build_command()),
+        CliCommand::Man(command) => command.run(build_command(), quiet),
     });
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            failure.report();
+            failure.print();
             failure.exit_code()
         }
     }

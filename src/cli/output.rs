@@ -9,17 +9,17 @@ use anstream::{AutoStream, ColorChoice};
 use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
-use super::Failure;
-use super::simulate::Format;
-use crumple_core::quoted::{Lines, Terminal};
+use super::CliError;
+use super::simulate::OutputFormat;
+use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_store::disk::DiskError;
 
 /// Prints to standard output. If its reader has gone, nobody misses the rest.
-pub(super) fn print(text: &str) -> Result<(), Failure> {
-    emit(&Lines(text).to_string())
+pub(super) fn print(text: &str) -> Result<(), CliError> {
+    emit(&TerminalLines(text).to_string())
 }
 
-fn emit(text: &str) -> Result<(), Failure> {
+fn emit(text: &str) -> Result<(), CliError> {
     let mut out = io::BufWriter::new(io::stdout().lock());
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Ok(()) => Ok(()),
@@ -29,13 +29,13 @@ fn emit(text: &str) -> Result<(), Failure> {
 }
 
 /// Prints what came of something, for a reader with its verdicts in colour where that is a terminal that has some.
-pub(super) fn print_coloured(format: Format, text: &str) -> Result<(), Failure> {
+pub(super) fn print_coloured(format: OutputFormat, text: &str) -> Result<(), CliError> {
     let has_colour = AutoStream::choice(&io::stdout()) != ColorChoice::Never;
-    if format == Format::Json || !has_colour {
+    if format == OutputFormat::Json || !has_colour {
         return print(text);
     }
-    let safe = Lines(text).to_string();
-    emit(&safe.lines().map(|line| coloured(line) + "\n").collect::<String>())
+    let safe = TerminalLines(text).to_string();
+    emit(&safe.lines().map(|line| colour_verdict(line) + "\n").collect::<String>())
 }
 
 /// Words that are a verdict where they stand alone, and their colour. Of those that begin at one place the first counts.
@@ -87,25 +87,25 @@ fn colour_verdict(line: &str) -> String {
 
 /// Prints a result, in words or as one JSON object.
 pub(super) fn print_result(
-    format: Format,
+    format: OutputFormat,
     object: &impl Serialize,
     words: impl FnOnce() -> String,
-) -> Result<(), Failure> {
+) -> Result<(), CliError> {
     match format {
-        Format::Json => print_json(object),
-        Format::Text => print_coloured(format, &words()),
+        OutputFormat::Json => print_json(object),
+        OutputFormat::Text => print_coloured(format, &words()),
     }
 }
 
 /// Prints one JSON object in a line.
-pub(super) fn print_json(object: &impl Serialize) -> Result<(), Failure> {
-    print(&(serde_json::to_string(object).map_err(Failure::input)? + "\n"))
+pub(super) fn print_json(object: &impl Serialize) -> Result<(), CliError> {
+    print(&(serde_json::to_string(object).map_err(CliError::input)? + "\n"))
 }
 
 /// Says something on standard error, in one line, unless told to be quiet.
 pub(super) fn note(text: &str, quiet: bool) {
     if !quiet {
-        warn(&Terminal(text).to_string());
+        warn(&TerminalText(text).to_string());
     }
 }
 
@@ -120,22 +120,22 @@ pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
 /// Says something of several lines on standard error.
 pub(super) fn warn(text: &str) {
     // A closed standard error leaves nowhere to complain.
-    let _ = writeln!(io::stderr(), "{}", Lines(text));
+    let _ = writeln!(io::stderr(), "{}", TerminalLines(text));
 }
 
 /// Where a single file goes that the user named. A symbolic link stays, and what it leads to is written; what is no file, such as
 /// a terminal or `/dev/null`, is refused, for files are moved into their places whole and one would be in its place.
-pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, Failure> {
+pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
     let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
-            Failure::Input(format!("{}: a symbolic link that leads nowhere: {error}", path.display()))
+            CliError::Input(format!("{}: a symbolic link that leads nowhere: {error}", path.display()))
         })?,
         false => path.to_owned(),
     };
     let found = fs::metadata(&place).map_err(DiskError::at(path))?;
     if !found.is_file() && !found.is_dir() {
-        return Err(Failure::Input(format!("{}: is no file, and results are files", path.display())));
+        return Err(CliError::Input(format!("{}: is no file, and results are files", path.display())));
     }
     Ok(place)
 }

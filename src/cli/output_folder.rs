@@ -10,9 +10,9 @@ use std::fs;
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-use super::{Failure, output};
+use super::{CliError, output};
 use crumple_core::digest::{Sha256, sha256};
-use crumple_store::disk::{self, DiskError, Files};
+use crumple_store::disk::{self, DiskError, StagedFiles};
 use crumple_world::scenario::file;
 
 /// Folder with results.
@@ -36,10 +36,10 @@ pub(super) enum EarlierFiles {
 
 impl OutputFolder {
     /// Reads the listing of a folder, if there is one.
-    pub(super) fn with_listing(path: &Path, listing: &'static str) -> Result<Self, Failure> {
-        let folder = Self { listing: Some(listing), ..Self::unlisted(path, false) };
-        let (before, announced) = (entries(&path.join(listing))?, entries(&announcement(path, listing))?);
-        Ok(folder.knowing(before.into_iter().chain(announced)))
+    pub(super) fn with_listing(path: &Path, listing: &'static str) -> Result<Self, CliError> {
+        let folder = Self { listing: Some(listing), ..Self::without_listing(path, false) };
+        let (before, announced) = (read_listing(&path.join(listing))?, read_listing(&pending_listing(path, listing))?);
+        Ok(folder.with_known_files(before.into_iter().chain(announced)))
     }
 
     /// Returns a folder without a listing. With `force` any plain file there may be replaced, otherwise none.
@@ -56,19 +56,19 @@ impl OutputFolder {
     }
 
     /// Checks before long work that results of these names may be written whatever they contain.
-    pub(super) fn check(&self, names: &[&str]) -> Result<(), Failure> {
-        let is_own = |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged(name).is_some();
+    pub(super) fn check(&self, names: &[&str]) -> Result<(), CliError> {
+        let is_own = |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
         match names.iter().find(|name| !is_own(name)) {
-            Some(name) => Err(Failure::Input(format!("{}: {LISTED}", self.path.join(name).display()))),
+            Some(name) => Err(CliError::Input(format!("{}: {CHANGED_FILE_PROBLEM}", self.path.join(name).display()))),
             None => Ok(()),
         }
     }
 
     /// Writes files by their names, and the listing. Makes the folder if it is not there. A file with the same contents stays as it is.
-    pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), Failure> {
+    pub(super) fn write(&self, contents: &[(String, Vec<u8>)], earlier: EarlierFiles) -> Result<(), CliError> {
         disk::make_folder(&self.path)?;
         disk::remove_unfinished(&self.path)?;
-        let mut files = Files::default();
+        let mut files = StagedFiles::default();
         for (name, contents) in contents {
             self.stage(&mut files, name, contents)?;
         }
@@ -76,16 +76,16 @@ impl OutputFolder {
         let mut next: BTreeMap<&str, String> =
             contents.iter().map(|(name, contents)| (name.as_str(), sha256(contents))).collect();
         let mut stale = Vec::new();
-        for (name, digest) in self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged(name)?))) {
+        for (name, digest) in self.recorded.keys().filter_map(|name| Some((name.as_str(), self.unchanged_digest(name)?))) {
             match (next.contains_key(name), earlier) {
                 (true, _) => {}
-                (false, EarlierFiles::Stay) => drop(next.insert(name, digest)),
-                (false, EarlierFiles::Go) => stale.push(self.path.join(name)),
+                (false, EarlierFiles::Keep) => drop(next.insert(name, digest)),
+                (false, EarlierFiles::Replace) => stale.push(self.path.join(name)),
             }
         }
-        let before = self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| line(name, digest)));
-        let after: String = next.iter().map(|(name, digest)| line(name, digest)).collect();
-        let announced = announcement(&self.path, listing);
+        let before = self.recorded.iter().flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
+        let after: String = next.iter().map(|(name, digest)| listing_line(name, digest)).collect();
+        let announced = pending_listing(&self.path, listing);
         disk::write(&announced, before.collect::<String>() + &after)?;
         match after.is_empty() {
             true => stale.push(self.path.join(listing)),
@@ -97,14 +97,14 @@ impl OutputFolder {
         Ok(disk::remove(&stale)?)
     }
 
-    fn stage(&self, files: &mut Files, name: &str, contents: &[u8]) -> Result<(), Failure> {
+    fn stage(&self, files: &mut StagedFiles, name: &str, contents: &[u8]) -> Result<(), CliError> {
         let path = self.path.join(name);
         if let Some(link) = self.find_symlink(&path) {
-            return Err(Failure::Input(format!("{}: {LINK}", link.display())));
+            return Err(CliError::Input(format!("{}: {SYMLINK_PROBLEM}", link.display())));
         }
         path.parent().map_or(Ok(()), disk::make_folder)?;
         let is_own = |digest: &str| self.force || self.recorded.get(name).is_some_and(|known| known.contains(digest));
-        let advice = if self.listing.is_some() { LISTED } else { EXISTING_FILE_PROBLEM };
+        let advice = if self.listing.is_some() { CHANGED_FILE_PROBLEM } else { EXISTING_FILE_PROBLEM };
         stage(files, &path, contents, is_own, advice)
     }
 
@@ -112,7 +112,7 @@ impl OutputFolder {
     fn unchanged_digest(&self, name: &str) -> Option<String> {
         let path = self.path.join(name);
         let is_plain = self.find_symlink(&path).is_none() && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
-        let digest = is_plain.then(|| digest(&path).ok()).flatten()?;
+        let digest = is_plain.then(|| file_digest(&path).ok()).flatten()?;
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
 
@@ -128,19 +128,19 @@ const CHANGED_FILE_PROBLEM: &str = "has changed, or crumple did not write it her
 const EXISTING_FILE_PROBLEM: &str = "is there and says something else: use --force to overwrite it, or another name";
 
 /// Stages a file that the user named. With `force` it may replace a file with other contents.
-pub(super) fn stage_unless_edited(files: &mut Files, path: &Path, bytes: &[u8], force: bool) -> Result<(), Failure> {
-    stage(files, &output::place(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
+pub(super) fn stage_unless_edited(files: &mut StagedFiles, path: &Path, bytes: &[u8], force: bool) -> Result<(), CliError> {
+    stage(files, &output::resolve_output_path(path)?, bytes, |_| force, EXISTING_FILE_PROBLEM)
 }
 
 /// Stages a file if its place is free, or `is_own` accepts the digest of the plain file that is there.
 pub(super) fn stage(
-    files: &mut Files,
+    files: &mut StagedFiles,
     path: &Path,
     contents: &[u8],
     is_own: impl FnOnce(&str) -> bool,
     otherwise: &str,
-) -> Result<(), Failure> {
-    let refused = |problem: &str| Err(Failure::Input(format!("{}: {problem}", path.display())));
+) -> Result<(), CliError> {
+    let refused = |problem: &str| Err(CliError::Input(format!("{}: {problem}", path.display())));
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
         Err(error) => return Err(DiskError::at(path)(error).into()),
@@ -148,7 +148,7 @@ pub(super) fn stage(
         Ok(found) if !found.is_file() => return refused("is no file, and results are files"),
         Ok(_) => {}
     }
-    match digest(path)? {
+    match file_digest(path)? {
         digest if digest == sha256(contents) => Ok(()),
         digest if is_own(&digest) => Ok(files.stage(path, contents)?),
         _ => refused(otherwise),
@@ -167,12 +167,12 @@ fn listing_line(name: &str, digest: &str) -> String {
 }
 
 /// Reads a listing: names and SHA-256 of files beside it. There is none if there is no such file.
-fn read_listing(path: &Path) -> Result<Vec<(String, String)>, Failure> {
+fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Ok(found) if !found.is_file() => {
             let problem = "is no plain file, and crumple lists there what it wrote: remove it, or use another --out";
-            return Err(Failure::Input(format!("{}: {problem}", path.display())));
+            return Err(CliError::Input(format!("{}: {problem}", path.display())));
         }
         _ => {}
     }
@@ -183,7 +183,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, Failure> {
         let found = line.split_once("  ").filter(|(digest, name)| digest.len() == 64 && is_within(name));
         found.map(|(digest, name)| (name.to_owned(), digest.to_owned())).ok_or_else(|| {
             let problem = "is no SHA-256 and the name of a file beside it, as crumple writes them: use another --out";
-            Failure::Input(format!("{}:{}: {problem}", path.display(), index + 1))
+            CliError::Input(format!("{}:{}: {problem}", path.display(), index + 1))
         })
     };
     text.lines().enumerate().map(entry).collect()

@@ -1,6 +1,6 @@
 //! Progress on a terminal, and silence in a pipe.
 
-use crumple_core::observer::{Listener, Observer, Progress};
+use crumple_core::observer::{Listener, Observer, RunProgress};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Draws on standard error, and only if that is a terminal.
@@ -13,36 +13,36 @@ fn progress_bar(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar 
 /// Shows a bar for `total` runs.
 pub(super) fn run_bar(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     let template = "{msg} {bar:30} {human_pos}/{human_len} runs, {eta} left";
-    progress(template, Some(total), quiet).with_message(what)
+    progress_bar(template, Some(total), quiet).with_message(what)
 }
 
 /// Shows a bar for `total` episodes of training, with a message.
 pub(super) fn training_bar(total: u64, quiet: bool) -> ProgressBar {
-    progress("training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}", Some(total), quiet)
+    progress_bar("training {bar:24} {human_pos}/{human_len} episodes, {per_sec}; {msg}", Some(total), quiet)
 }
 
 /// Shows a bar for `total` evaluations of a campaign, as wide as the terminal, with a message.
 pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
-    progress("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
+    progress_bar("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
 }
 
 /// Counts runs whose total is unknown.
 pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
-    progress("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
+    progress_bar("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
 }
 
 /// Shows a line for `total` depths of a partition, with a message.
 pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
-    progress("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
+    progress_bar("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
 }
 
 /// Shows a line for work of unknown length, with a message.
 pub(super) fn status_line(quiet: bool) -> ProgressBar {
-    progress("{spinner} {msg} ({elapsed})", None, quiet)
+    progress_bar("{spinner} {msg} ({elapsed})", None, quiet)
 }
 
 /// Returns an observer that advances a bar from its present position.
-pub(super) fn bar_observer(bar: &ProgressBar) -> impl Observer<Progress> {
+pub(super) fn bar_observer(bar: &ProgressBar) -> impl Observer<RunProgress> {
     let begin = bar.position();
-    Listener(move |progress: &Progress| bar.set_position(begin + progress.done))
+    Listener(move |progress: &RunProgress| bar.set_position(begin + progress.done))
 }

@@ -5,14 +5,14 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::simulate::Format;
-use super::{Failure, exposed, interrupt, output, progress};
+use super::simulate::OutputFormat;
+use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 use crumple_evidence::rare::{
-    Estimate, MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareFolder, RareMethod, RarePlan, RareReport,
+    RareEstimate, MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareFolder, RareMethod, RarePlan, RareReport,
 };
-use crumple_store::shard::{MissingShards, Shard};
+use crumple_store::shard::{MissingShards, ShardId};
 use crumple_world::observation::EstimatorKind;
 
 /// Estimates, writes the estimate to `folder` and prints it; with `resume` goes on with what is there, which may be all of it.
@@ -21,29 +21,29 @@ pub(super) fn estimate(
     resamples: u32,
     folder: &Path,
     resume: bool,
-    format: Format,
+    format: OutputFormat,
     quiet: bool,
-) -> Result<(), Failure> {
-    let mut kept = plan.in_folder(folder, resume)?;
-    let report = match kept.kept()? {
+) -> Result<(), CliError> {
+    let mut kept = plan.open_folder(folder, resume)?;
+    let report = match kept.read_report()? {
         // What it comes to per hour takes estimates in resamples, which are not kept for long.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
-            let report = kept.exposed(plan, report, resamples, &progress::advance(&bar));
+            let report = kept.with_exposure(plan, report, resamples, &progress::bar_observer(&bar));
             bar.finish_and_clear();
             let report = report?;
             if !kept.is_complete() {
-                kept.keep(&report)?;
+                kept.write_report(&report)?;
             }
             report
         }
         None => {
-            let report = climbed(plan, resamples, (&mut kept, folder), quiet)?;
+            let report = run_estimate(plan, resamples, (&mut kept, folder), quiet)?;
             output::note(&format!("wrote {}", kept.path().display()), quiet);
             report
         }
     };
-    output::print_result(format, &report, || text(&report))
+    output::print_result(format, &report, || format_report(&report))
 }
 
 /// Makes all runs of an estimate that are not kept in its folder.
@@ -52,15 +52,15 @@ fn run_estimate(
     resamples: u32,
     (kept, folder): (&mut RareFolder, &Path),
     quiet: bool,
-) -> Result<RareReport, Failure> {
-    interrupt::says(resume_hint(plan, folder), quiet);
+) -> Result<RareReport, CliError> {
+    interrupt::set_exit_message(resume_hint(plan, folder), quiet);
     let bar = progress::counter("placing levels", quiet);
-    let pilot = kept.pilot(plan, &progress::advance(&bar));
+    let pilot = kept.run_pilot(plan, &progress::bar_observer(&bar));
     bar.finish_and_clear();
     let pilot = pilot?;
-    let bar = progress::bar("climbing", pilot.planned_runs(), quiet);
+    let bar = progress::run_bar("climbing", pilot.planned_runs(), quiet);
     bar.inc(pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions());
-    let report = kept.report(plan, &pilot, resamples, &progress::advance(&bar));
+    let report = kept.estimate(plan, &pilot, resamples, &progress::bar_observer(&bar));
     bar.finish_and_clear();
     Ok(report?)
 }
@@ -76,19 +76,19 @@ fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
 /// Makes a shard of an estimate, in `folder`, unless it is there.
 pub(super) fn run_shard(
     plan: &RarePlan,
-    (shard, resamples): (Shard, u32),
+    (shard, resamples): (ShardId, u32),
     folder: &Path,
     resume: bool,
-    (format, quiet): (Format, bool),
-) -> Result<(), Failure> {
+    (format, quiet): (OutputFormat, bool),
+) -> Result<(), CliError> {
     let mut part = plan.open_shard_folder(shard, resamples, folder, resume)?;
     if !part.is_complete() {
-        interrupt::says(resume_hint(plan, folder), quiet);
+        interrupt::set_exit_message(resume_hint(plan, folder), quiet);
         let bar = progress::counter("placing levels", quiet);
-        let pilot = part.pilot(&progress::advance(&bar));
+        let pilot = part.run_pilot(&progress::bar_observer(&bar));
         bar.finish_and_clear();
         let bar = progress::counter("climbing", quiet);
-        let repeated = part.repeat(&pilot?, &progress::advance(&bar));
+        let repeated = part.run_repetitions(&pilot?, &progress::bar_observer(&bar));
         bar.finish_and_clear();
         repeated?;
     }
@@ -101,7 +101,7 @@ pub(super) fn run_shard(
 #[derive(Serialize)]
 struct ShardReport<'a> {
     folder: &'a Path,
-    shard: Shard,
+    shard: ShardId,
 }
 
 /// What is missing of an estimate, for programs.
@@ -113,17 +113,17 @@ struct MissingRepetitions {
 }
 
 /// Puts shards of an estimate together, and prints the estimate.
-pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: Format) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: OutputFormat) -> Result<(), CliError> {
     let Some((_, report)) = merged.write_in(folder)? else {
         let (missing_repetitions, shards) = (merged.missing_part_count(), merged.missing_shards());
         let gate = format!("{missing_repetitions} repetitions are missing{shards}, and nothing is written");
         let printed = match format {
-            Format::Json => output::print_json(&MissingRepetitions { missing_repetitions, shards }),
-            Format::Text => Ok(()),
+            OutputFormat::Json => output::print_json(&MissingRepetitions { missing_repetitions, shards }),
+            OutputFormat::Text => Ok(()),
         };
-        return Failure::gate_first(Err(Failure::Gate(gate)), printed);
+        return CliError::gate_first(Err(CliError::Gate(gate)), printed);
     };
-    output::print_result(format, &report, || text(&report))
+    output::print_result(format, &report, || format_report(&report))
 }
 
 /// A larger share of one run in an estimate is worth a word.
@@ -132,23 +132,23 @@ const LARGE_WEIGHT_SHARE: f64 = 0.1;
 fn format_report(report: &RareReport) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    let _ = write_text(report, &mut text);
+    let _ = write_report(report, &mut text);
     text
 }
 
 fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
     let RareReport { controller, space, estimator, seed, failure, method, estimate, effort, .. } = report;
-    writeln!(out, "{controller} in `{space}`: {}, estimator {}, seed {seed}", Terminal(failure), estimator.name())?;
+    writeln!(out, "{controller} in `{space}`: {}, estimator {}, seed {seed}", TerminalText(failure), estimator.name())?;
     if report.nondeterministic {
         writeln!(out, "  the controller says that it is not deterministic: the same estimate may come out otherwise")?;
     }
-    let Estimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
+    let RareEstimate { probability, coefficient_of_variation, interval_95, repetitions, evaluations, levels, .. } =
         estimate;
     match (probability, coefficient_of_variation, interval_95) {
         (None, ..) if levels.len() == MAX_LEVELS => {
             writeln!(
                 out,
-                "  no failure after {MOST_LEVELS} levels, nor by any of {} pilots, each twice as large as the one before: no estimate, and no word of how \
+                "  no failure after {MAX_LEVELS} levels, nor by any of {} pilots, each twice as large as the one before: no estimate, and no word of how \
                  rare failures are: levels may lead past them; more --samples may find them",
                 PILOT_FACTORS.len()
             )?;
@@ -160,10 +160,10 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
             writeln!(
                 out,
                 "  probability of a failure {}, coefficient of variation {variation:.2}",
-                digits::nearest(*probability, 4)
+                digits::format_rounded(*probability, 4)
             )?;
             // Where the spread of weights leaves nothing below 1.
-            let of_draws = report.method == RareMethod::Importance && *interval_95 == estimate.independent(0.95);
+            let of_draws = report.method == RareMethod::Importance && *interval_95 == estimate.independent_interval(0.95);
             let from = match of_draws {
                 true => format!(
                     "{} failures of the {} draws it began with",
@@ -174,8 +174,8 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
             writeln!(
                 out,
                 "  95 % interval {} to {}, from {from}",
-                digits::nearest(*low, 3),
-                digits::nearest(*high, 3)
+                digits::format_rounded(*low, 3),
+                digits::format_rounded(*high, 3)
             )?;
         }
         (Some(_), ..) => {
@@ -187,10 +187,10 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         }
     }
     if interval_95.is_none()
-        && let Some([low, high]) = estimate.independent(0.95)
+        && let Some([low, high]) = estimate.independent_interval(0.95)
     {
         let (failures, runs) = (estimate.independent_failures, estimate.independent_runs);
-        let (low, high) = (digits::nearest(low, 3), digits::up(high, 4));
+        let (low, high) = (digits::format_rounded(low, 3), digits::format_rounded_up(high, 4));
         writeln!(out, "  {failures} of the {runs} draws it began with fail: between {low} and {high} at 95 %")?;
     }
     let died = repetitions.iter().filter(|estimate| **estimate == 0.0).count();
@@ -206,7 +206,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         RareMethod::Importance => "importance sampling",
     };
     writeln!(out, "  an estimate by {method}, no bound and no certificate; {evaluations} runs")?;
-    if let Some(largest) = estimate.largest_weight.filter(|largest| *largest > LARGE) {
+    if let Some(largest) = estimate.largest_weight.filter(|largest| *largest > LARGE_WEIGHT_SHARE) {
         let percent = 100.0 * largest;
         writeln!(
             out,
@@ -220,8 +220,8 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
              a known probability, 91 of 100 by --rare=splitting"
         )?;
     }
-    if let Some(rate) = &report.exposed {
-        out.push_str(&exposure::text(rate));
+    if let Some(rate) = &report.exposure {
+        out.push_str(&exposure::format_report(rate));
     }
     let contacts = report.is_contact_failure();
     writeln!(
@@ -244,7 +244,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
             "  {gap:>14} {:>13} {:>8.1} % {:>6} {:>11}",
-            digits::nearest(level.probability, 4),
+            digits::format_rounded(level.probability, 4),
             100.0 * level.share,
             number(level.step),
             number(level.acceptance)

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use crumple_core::observer::Listener;
-use crumple_store::disk::Files;
-use crumple_verify::{Accepted, Certificate, WorkLimit, check_with};
+use crumple_store::disk::StagedFiles;
+use crumple_verify::{ProvedClaim, Certificate, WorkLimit, check_with};
 use serde::Serialize;
 
 use super::output;
 use super::output_folder::stage;
-use super::simulate::Format;
-use super::{Failure, progress, subject};
+use super::simulate::OutputFormat;
+use super::{CliError, progress, args};
 use crumple_evidence::{BoxSpec, UndecidedCounts, InvalidBox, Partition, ReachPlan, VolumeShares};
 use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
@@ -39,7 +39,7 @@ Examples:
   crumple verify reach --controller acc.toml --box my-box.toml --certificate reach/acc.json")]
 pub(super) struct ReachCommand {
     /// A learned policy (`policy`, or a policy file), or a network (F.onnx, F.zip, F.toml)
-    #[arg(long, value_name = "C", default_value = "policy", value_parser = args::controller)]
+    #[arg(long, value_name = "C", default_value = "policy", value_parser = args::parse_controller)]
     controller: NamedController,
     /// The box: paper-1 or paper-2, which are built in, or a file
     #[arg(long = "box", value_name = "BOX")]
@@ -52,7 +52,7 @@ pub(super) struct ReachCommand {
     certificate: Option<PathBuf>,
     /// How results are printed
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// Boxes that are built in.
@@ -60,52 +60,52 @@ pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] =
     [("paper-1", include_str!("boxes/paper-1.toml")), ("paper-2", include_str!("boxes/paper-2.toml"))];
 
 /// The text of the box of that name, or in that file.
-fn load_box_text(place: &Path) -> Result<String, Failure> {
+fn load_box_text(place: &Path) -> Result<String, CliError> {
     let built_in = BUILT_IN_BOXES.iter().find(|(name, _)| Path::new(name) == place);
     match built_in {
         Some((_, text)) if !place.exists() => Ok((*text).to_owned()),
         None if place.extension().is_none() && !place.exists() => {
             let known = BUILT_IN_BOXES.map(|(name, _)| name).join(", ");
-            Err(Failure::Input(format!("--box: `{}` is neither a built-in box ({known}) nor a file", place.display())))
+            Err(CliError::Input(format!("--box: `{}` is neither a built-in box ({known}) nor a file", place.display())))
         }
         _ => Ok(file::read_at_most(place, file::MAX_TOML_BYTES)?),
     }
 }
 
 impl ReachCommand {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let place = self.starts.display();
-        let text = box_text(&self.starts)?;
+        let text = load_box_text(&self.starts)?;
         let failed = |error: InvalidBox| match error {
             InvalidBox::Field { ref field, .. } => {
-                Failure::Input(format!("{place}:{}: {error}", file::line_in_toml(&text, field)))
+                CliError::Input(format!("{place}:{}: {error}", file::line_in_toml(&text, field)))
             }
-            InvalidBox::Controller(problem) => Failure::Input(format!("--controller: {problem}")),
+            InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
-                let place = self.controller.place_of(&invalid.field);
-                Failure::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+                let place = self.controller.field_location(&invalid.field);
+                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
             }
-            other => Failure::Input(format!("{place}: {other}")),
+            other => CliError::Input(format!("{place}: {other}")),
         };
         let plan =
             ReachPlan::new(self.controller.kind.clone(), &BoxSpec::from_toml(&text, &self.starts)?).map_err(failed)?;
-        let bar = progress::depths("cutting", u64::from(self.depth), quiet);
+        let bar = progress::depth_line("cutting", u64::from(self.depth), quiet);
         let observer = Listener(|now: &VolumeShares| {
             bar.set_position(u64::from(now.depth));
-            bar.set_message(line(now, false));
+            bar.set_message(format_depth(now, false));
         });
         let partition = plan.partition(self.depth, &observer).map_err(failed)?;
         bar.finish_and_clear();
-        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::NONE)
-            .map_err(|rejection| Failure::Gate(format!("not shown: {rejection}")))?;
+        let accepted = check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::UNLIMITED)
+            .map_err(|rejection| CliError::Gate(format!("not shown: {rejection}")))?;
         if let Some(path) = &self.certificate {
-            keep(path, &partition.certificate, plan.policy_bytes())?;
+            write_certificate(path, &partition.certificate, plan.policy_bytes())?;
         }
-        let Partition { shares, doubts, .. } = &partition;
+        let Partition { shares, undecided: doubts, .. } = &partition;
         let is_verified = is_positive(shares, |now| now.verified);
         let words = || {
             let last = shares.len().saturating_sub(1);
-            let lines: String = shares.iter().enumerate().map(|(index, now)| line(now, index == last) + "\n").collect();
+            let lines: String = shares.iter().enumerate().map(|(index, now)| format_depth(now, index == last) + "\n").collect();
             let UndecidedCounts { ahead, behind, too_wide } = doubts;
             let falsified = match is_positive(shares, |now| now.falsified) {
                 true => "falsified: boxes of which one start, tried at the end, ends in contact\n",
@@ -117,27 +117,27 @@ impl ReachCommand {
                  wide\n{verdict}: {accepted}\n"
             )
         };
-        let printed = output::print_result(self.format, &self.result(&partition, &accepted), words);
+        let printed = output::print_result(self.format, &self.report(&partition, &accepted), words);
         let deeper = if is_positive(shares, |now| now.undecided) { "; a larger --depth may" } else { "" };
         let problem = format!("{place}: no part of the box was verified{deeper}");
-        Failure::gate_first(if is_verified { Ok(()) } else { Err(Failure::Gate(problem)) }, printed)
+        CliError::gate_first(if is_verified { Ok(()) } else { Err(CliError::Gate(problem)) }, printed)
     }
 }
 
 impl ReachCommand {
     /// What was found, for programs: of the certificate what `crumple check` says of it, under the same names.
-    fn report<'a>(&'a self, partition: &'a Partition, accepted: &Accepted) -> Found<'a> {
-        let Partition { certificate, shares, doubts } = partition;
+    fn report<'a>(&'a self, partition: &'a Partition, accepted: &ProvedClaim) -> ReachReport<'a> {
+        let Partition { certificate, shares, undecided: doubts } = partition;
         let (smallest_gap_m, verified_share) = match *accepted {
-            Accepted::Reach { smallest_gap_m, verified_share, .. } => {
+            ProvedClaim::Reach { min_gap_m: smallest_gap_m, verified_share, .. } => {
                 // Of no start nothing is known, and JSON has no infinity.
                 (Some(smallest_gap_m).filter(|gap_m| verified_share > 0.0 && gap_m.is_finite()), Some(verified_share))
             }
             _ => (None, None),
         };
-        Found {
+        ReachReport {
             controller: &self.controller.name,
-            policy_sha256: certificate.policy().map(|(_, digest)| digest),
+            policy_sha256: certificate.policy_reference().map(|(_, digest)| digest),
             starts: &self.starts,
             scenario: &certificate.provenance.scenario,
             certificate: self.certificate.as_deref(),
@@ -176,11 +176,11 @@ struct ReachReport<'a> {
 }
 
 /// Writes a certificate, and beside it the file of the network that it names. Another network in that place stays.
-pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), Failure> {
-    let mut files = Files::default();
-    let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
-    files.stage(&output::place(path)?, text.as_bytes())?;
-    if let Some((name, _)) = certificate.policy() {
+pub(super) fn write_certificate(path: &Path, certificate: &Certificate, network: &[u8]) -> Result<(), CliError> {
+    let mut files = StagedFiles::default();
+    let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
+    files.stage(&output::resolve_output_path(path)?, text.as_bytes())?;
+    if let Some((name, _)) = certificate.policy_reference() {
         let beside = path.parent().unwrap_or(Path::new("")).join(name);
         let other = "is another network than that of the certificate: move it, or write the certificate elsewhere";
         stage(&mut files, &beside, network, |_| false, other)?;

@@ -5,17 +5,17 @@ use std::path::PathBuf;
 use clap::{Args, value_parser};
 use indicatif::ProgressBar;
 
-use super::preset::{Preset, RETRAIN};
-use super::simulate::Format;
-use super::{Failure, interrupt, output, progress, subject};
+use super::preset::{TrainingPreset, RETRAIN_PRESET_NAMES};
+use super::simulate::OutputFormat;
+use super::{CliError, interrupt, output, progress, args};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
-    Checkpoint, Report, RetrainError, RetrainingPlan, RetrainingProgress, Round, Settings, training_preset,
+    Checkpoint, RetrainingReport, RetrainError, RetrainingPlan, RetrainingProgress, Round, RetrainingSettings, training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
-use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, retraining};
+use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
-use crumple_world::scenario::space::{BUILT_IN_SPACES, Space, built_in_space};
+use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Retrain a policy: search for failures, train on those that could have been avoided, accept what breaks nothing
@@ -41,44 +41,44 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
     /// Where to search, and what to draw from: a built-in space (see `crumple list spaces`) or a space file
-    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::space)]
-    space: (String, Space),
+    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::parse_space)]
+    space: (String, ScenarioSpace),
     /// How to train: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces have no say here but must be there
     #[arg(long, value_name = "PRESET", default_value = "retrain")]
     preset: String,
     /// Rounds at most: 1 to 99
-    #[arg(long, value_name = "N", default_value_t = Settings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().rounds, value_parser = value_parser!(u64).range(1..=99))]
     rounds: u64,
     /// Episodes of training in a round: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().episodes, value_parser = value_parser!(u64).range(1..=1_000_000))]
     episodes: u64,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
     /// Evaluations of the search method in a round, and of each reference search: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().budget, value_parser = value_parser!(u64).range(1..=1_000_000))]
     budget: u64,
     /// Draws of the space that each search drives beside: up to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().draws, value_parser = value_parser!(u64).range(0..=1_000_000))]
     draws: u64,
     /// Avoidable draws kept aside, which accept or reject a round: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().kept_aside, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().validation_draws, value_parser = value_parser!(u64).range(1..=1_000_000))]
     kept_aside: u64,
     /// Draws of the paper's distribution, likewise: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().nominal, value_parser = value_parser!(u64).range(1..=1_000_000))]
     nominal: u64,
     /// A space in which no round may make the policy worse, built-in or a file; may be given several times, `none` is none of them
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
     /// Draws of each of them: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().regression, value_parser = value_parser!(u64).range(1..=10_000))]
     regression_draws: u64,
     /// Avoidable draws on which the result is judged: 1 to 10 000 000
-    #[arg(long, value_name = "N", default_value_t = Settings::default().judged, value_parser = value_parser!(u64).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RetrainingSettings::default().test_draws, value_parser = value_parser!(u64).range(1..=10_000_000))]
     judge: u64,
     /// Seed of searches and trainings
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole(0..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
     seed: u64,
     /// Folder of the retraining; made if it is not there
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]
@@ -88,60 +88,60 @@ pub(super) struct Retrain {
     resume: bool,
     /// How to print the report: as Markdown, or one JSON object
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 impl Retrain {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let name = &self.policy.name;
         let is_shielded = matches!(self.policy.kind, ControllerKind::Shielded(_));
         let first = self.policy.policy().filter(|_| !is_shielded);
         let first = first.ok_or_else(|| {
-            Failure::Input(format!(
+            CliError::Input(format!(
                 "--policy: `{name}` is no policy that can be trained on: those are crumple's own, which `crumple train` makes"
             ))
         })?;
-        let regression = regression_spaces(&self.regression)?;
+        let regression = load_regression_spaces(&self.regression)?;
         let regression_draws = if regression.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {
-            first,
-            first_name: name.clone(),
+            initial_policy: first,
+            initial_policy_name: name.clone(),
             space: self.space.1,
-            regression,
-            training: training(&self.preset)?,
+            regression_spaces: regression,
+            training: load_training_config(&self.preset)?,
             method: self.method,
             seed: self.seed,
-            settings: Settings {
+            settings: RetrainingSettings {
                 rounds: self.rounds,
                 episodes: self.episodes,
                 budget: self.budget,
                 draws: self.draws,
-                kept_aside: self.kept_aside,
+                validation_draws: self.kept_aside,
                 nominal: self.nominal,
                 regression: regression_draws,
-                judged: self.judge,
-                ..Settings::default()
+                test_draws: self.judge,
+                ..RetrainingSettings::default()
             },
-            picture,
+            render_svg: render_report_figure,
         };
         let out = self.out.display();
-        interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        interrupt::set_exit_message(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
-        let bar = progress::line(quiet);
-        let report = plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show(&bar, state)));
+        let bar = progress::status_line(quiet);
+        let report = plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show_progress(&bar, state)));
         bar.finish_and_clear();
-        let report = report.map_err(|error| as_named(error, &self.preset))?;
+        let report = report.map_err(|error| with_preset_name(error, &self.preset))?;
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         let printed = output::print_result(self.format, &report, || report.to_markdown());
-        Failure::gate_first(gate(&report), printed)
+        CliError::gate_first(check_accepted(&report), printed)
     }
 }
 
 /// An error about the preset by the name it was asked for by: the committed one is still called by its former name in itself.
 fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
     match error {
-        RetrainError::OtherPolicy { policy, what, .. } => {
-            RetrainError::OtherPolicy { policy, preset: preset.to_owned(), what }
+        RetrainError::PolicyMismatch { policy, what, .. } => {
+            RetrainError::PolicyMismatch { policy, preset: preset.to_owned(), what }
         }
         other => other,
     }
@@ -149,9 +149,9 @@ fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
 
 /// Rounds were made and none was accepted: the policy is the first one.
 /// Draws the picture of the report.
-fn render_report_figure(report: &Report) -> String {
+fn render_report_figure(report: &RetrainingReport) -> String {
     let round = |round: &Round| {
-        let trained = &round.trained;
+        let trained = &round.training;
         let checkpoint = |checkpoint: &Checkpoint| {
             Some(SelectedCheckpoint {
                 episode: checkpoint.episode.saturating_sub(trained.from_episode),
@@ -165,18 +165,18 @@ fn render_report_figure(report: &Report) -> String {
             is_accepted: round.acceptance.is_accepted(),
         }
     };
-    retraining(&report.rounds.iter().map(round).collect::<Vec<_>>()).document()
+    draw_retraining(&report.rounds.iter().map(round).collect::<Vec<_>>()).document()
 }
 
-fn check_accepted(report: &Report) -> Result<(), Failure> {
+fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
-    Err(Failure::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
+    Err(CliError::Gate(format!("no round was accepted: `{}` is as it was", report.first)))
 }
 
 /// The spaces of these names and files; without any, all that are built in.
-fn load_regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
+fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
     }
@@ -185,17 +185,17 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
         return if alone {
             Ok(Vec::new())
         } else {
-            Err(Failure::Input("--regression: `none` stands alone".to_owned()))
+            Err(CliError::Input("--regression: `none` stands alone".to_owned()))
         };
     }
     if names.len() > MAX_REGRESSION_SPACES {
-        return Err(Failure::Input(format!("--regression: {MOST_REGRESSION_SPACES} spaces are the most")));
+        return Err(CliError::Input(format!("--regression: {MAX_REGRESSION_SPACES} spaces are the most")));
     }
-    let mut spaces: Vec<Space> = Vec::new();
+    let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
-        let (_, space) = args::space(name).map_err(|error| Failure::Input(format!("--regression: {error}")))?;
+        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("--regression: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
-            return Err(Failure::Input(format!("--regression: two spaces are called `{}`", space.name())));
+            return Err(CliError::Input(format!("--regression: two spaces are called `{}`", space.name())));
         }
         spaces.push(space);
     }
@@ -206,33 +206,33 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<Space>, Failure> {
 const MAX_REGRESSION_SPACES: usize = 32;
 
 /// The preset of that name, or the one in a file.
-fn load_training_config(name: &str) -> Result<TrainingConfig, Failure> {
-    if RETRAIN.contains(&name) {
-        return training_preset().map_err(Failure::input);
+fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
+    if RETRAIN_PRESET_NAMES.contains(&name) {
+        return training_preset().map_err(CliError::input);
     }
     // What it names has to be there, though nothing is drawn from it here: else it is a mistake.
-    Preset::find_with_own(RETRAIN[0], name)?.into_checked_config()
+    TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
 }
 
 fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
     bar.set_message(match state {
-        RetrainingProgress::Gathering { what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
-        RetrainingProgress::Searching { round, state } => match &state.method {
+        RetrainingProgress::Gathering { file: what, done, wanted } => format!("{what}: {done} of {wanted} avoidable draws"),
+        RetrainingProgress::Searching { round, progress: state } => match &state.method {
             Some(method) => format!(
                 "round {round}: {method}, {} of {} runs, {} failures",
                 state.evaluations, state.total, state.failures
             ),
             None => format!("round {round}: {} failures; replaying, shrinking and classing", state.failures),
         },
-        RetrainingProgress::Drawing { round, draws } => {
+        RetrainingProgress::SimulatingDraws { round, draws } => {
             format!("round {round}: driving {draws} draws, classing contacts")
         }
-        RetrainingProgress::Training { round, episode, episodes, fewest } => {
+        RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
             let fewest =
                 fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} contacts"));
             format!("round {round}: episode {episode} of {episodes}, {fewest}")
         }
-        RetrainingProgress::Judging { round } => format!("round {round}: judging the candidate"),
+        RetrainingProgress::Evaluating { round } => format!("round {round}: judging the candidate"),
     });
     bar.tick();
 }

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crumple_core::quoted::Terminal;
-use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, Usefulness};
+use crumple_core::quoting::TerminalText;
+use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasures};
 use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
-use crumple_world::sim::{Impact, Intervention, Outcome, Simulated, VehicleSummary};
+use crumple_world::sim::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
 
 /// One line of `--format json`.
 #[derive(Serialize)]
@@ -71,7 +71,7 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     let mut text = String::new();
     let RunReport { scenario: name, controller, estimator, dt_s, seed, .. } = report;
     let mut line = |line: String| {
-        text += &format!("{}\n", Terminal(line.trim_end()));
+        text += &format!("{}\n", TerminalText(line.trim_end()));
     };
     line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
     if report.nondeterministic {
@@ -99,10 +99,10 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
         line(format!("  {} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
     }
     for change in &report.lane_changes {
-        line(format!("  {}", in_words(change, scenario)));
+        line(format!("  {}", describe_lane_changes(change, scenario)));
     }
-    for UnnecessaryBrakingReport { vehicle, braking } in &report.braking_without_cause {
-        if let Some(BrakeInstant { time_s, brake_mps2, caused_mps2 }) = braking.hardest {
+    for UnnecessaryBrakingReport { vehicle, braking } in &report.unnecessary_braking {
+        if let Some(BrakeInstant { time_s, brake_mps2, justified_mps2: caused_mps2 }) = braking.hardest {
             line(format!(
                 "  vehicle {vehicle} brakes without cause for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
                  {caused_mps2:.1} had a cause",
@@ -130,7 +130,7 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
         let driver = match &vehicle.driver {
             Driver::UnderTest => (*controller).to_owned(),
-            Driver::Controller(spec) => spec.words(),
+            Driver::Controller(spec) => spec.to_arg(),
             Driver::Profile(profile) => profile.name().to_owned(),
             Driver::File(file) => Path::new(file.path()).file_name().unwrap_or_default().to_string_lossy().into_owned(),
         };
@@ -147,7 +147,7 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
 }
 
 /// When vehicles that may change lanes did, front to rear.
-pub(super) fn lane_changes(scenario: &Scenario, result: &Simulated) -> Vec<LaneChanges> {
+pub(super) fn lane_changes(scenario: &Scenario, result: &SimulationResult) -> Vec<LaneChanges> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let vehicles = scenario.vehicles().iter().zip(&trace.vehicles).enumerate();
     let changes = vehicles.filter(|(_, (vehicle, _))| !vehicle.keeps_lane()).map(|(vehicle, (_, track))| {
@@ -179,21 +179,21 @@ fn describe_lane_changes(change: &LaneChanges, scenario: &Scenario) -> String {
 }
 
 /// How the vehicles under test brake without cause, front to rear.
-pub(super) fn unnecessary_braking(scenario: &Scenario, result: &Simulated) -> Vec<UnnecessaryBrakingReport> {
+pub(super) fn unnecessary_braking(scenario: &Scenario, result: &SimulationResult) -> Vec<UnnecessaryBrakingReport> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let under_test = (0..trace.vehicles.len()).filter(|&vehicle| scenario.is_under_test(vehicle));
     let of = |vehicle| {
-        let braking = UnnecessaryBraking::of(trace, &result.impacts, vehicle)?;
+        let braking = UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)?;
         Some(UnnecessaryBrakingReport { vehicle, braking })
     };
     under_test.filter_map(of).collect()
 }
 
 /// The vehicles under test that are left behind, front to rear.
-pub(super) fn left_behind(scenario: &Scenario, result: &Simulated) -> Vec<usize> {
+pub(super) fn left_behind(scenario: &Scenario, result: &SimulationResult) -> Vec<usize> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let is_left = |vehicle: &usize| {
-        let found = Usefulness::of(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
+        let found = UsefulnessMeasures::from_trace(trace, &result.impacts, *vehicle).and_then(|useful| useful.following);
         scenario.is_under_test(*vehicle) && found.is_some_and(|following| following.left_behind)
     };
     (0..trace.vehicles.len()).filter(is_left).collect()

@@ -6,7 +6,7 @@ use clap::{Args, Command};
 use clap_complete::Shell;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::{Failure, output};
+use super::{CliError, output};
 
 /// Print what a shell needs to complete commands and options
 #[derive(Args)]
@@ -22,7 +22,7 @@ pub(super) struct Completions {
 }
 
 impl Completions {
-    pub(super) fn run(self, mut commands: Command) -> Result<(), Failure> {
+    pub(super) fn run(self, mut commands: Command) -> Result<(), CliError> {
         let mut script = Vec::new();
         let name = commands.get_name().to_owned();
         clap_complete::generate(self.shell, &mut commands, name, &mut script);
@@ -40,19 +40,19 @@ pub(super) struct Man {
 }
 
 impl Man {
-    pub(super) fn run(self, mut commands: Command, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, mut commands: Command, quiet: bool) -> Result<(), CliError> {
         // Before, subcommands go by their last name alone.
         commands.build();
         let mut pages = Vec::new();
         render_pages(commands, &mut pages)?;
-        OutputFolder::listed(&self.out, "crumple-man.sha256")?.write(&pages, EarlierFiles::Go)?;
+        OutputFolder::with_listing(&self.out, "crumple-man.sha256")?.write(&pages, EarlierFiles::Replace)?;
         output::note(&format!("wrote {} pages to {}", pages.len(), self.out.display()), quiet);
         Ok(())
     }
 }
 
 /// Renders the pages of a command and of all below it, by the names of their files.
-fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), Failure> {
+fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), CliError> {
     let below: Vec<Command> =
         command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help").cloned().collect();
     // The usage of `--help`: the synopsis that clap makes of the options says neither what they take nor which are required.
@@ -60,7 +60,7 @@ fn render_pages(mut command: Command, pages: &mut Vec<(String, Vec<u8>)>) -> Res
     let usage = usage.strip_prefix("Usage:").unwrap_or(&usage).trim().to_owned();
     let page = clap_mangen::Man::new(command.override_usage(usage));
     let mut text = Vec::new();
-    page.render(&mut text).map_err(Failure::input)?;
+    page.render(&mut text).map_err(CliError::input)?;
     pages.push((page.get_filename(), text));
     below.into_iter().try_for_each(|command| render_pages(command, pages))
 }

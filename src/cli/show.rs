@@ -2,15 +2,15 @@
 
 use clap::{Args, ValueEnum};
 
-use super::preset::RETRAIN;
+use super::preset::RETRAIN_PRESET_NAMES;
 use super::reach::BUILT_IN_BOXES;
-use super::{Failure, output};
+use super::{CliError, output};
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
-use crumple_suites::SHIPPED;
+use crumple_suites::SHIPPED_SUITES;
 use crumple_world::recording::map::BUILT_IN_MAPS;
 use crumple_world::scenario::space::BUILT_IN_SPACES;
-use crumple_world::scenario::{Scenario, VehicleClass, built_in, built_in_names, file};
+use crumple_world::scenario::{Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
 /// Print something built in as the file that a user could write
@@ -58,17 +58,17 @@ impl BuiltInKind {
     }
 
     /// Returns the name and the text of each built-in file of this kind.
-    fn files(self) -> Result<Vec<(&'static str, String)>, Failure> {
+    fn files(self) -> Result<Vec<(&'static str, String)>, CliError> {
         let owned = |(name, text): (&'static str, &str)| (name, text.to_owned());
         Ok(match self {
             Self::Scenario => {
-                let text = |scenario: &Scenario| file::to_toml(scenario).map_err(Failure::input);
-                let all = built_in_names().into_iter().filter_map(|(name, _)| Some((name, built_in(name)?)));
-                all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, Failure>>()?
+                let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CliError::input);
+                let all = built_in_scenario_names().into_iter().filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
+                all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, CliError>>()?
             }
             Self::Space => BUILT_IN_SPACES.map(|(name, _, text)| owned((name, text))).into(),
-            Self::Preset => PRESETS.into_iter().chain([(RETRAIN[0], TRAINING_PRESET_TEXT)]).map(owned).collect(),
-            Self::Suite => SHIPPED.map(owned).into(),
+            Self::Preset => PRESETS.into_iter().chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]).map(owned).collect(),
+            Self::Suite => SHIPPED_SUITES.map(owned).into(),
             Self::Map => BUILT_IN_MAPS.map(owned).into(),
             Self::Box => BUILT_IN_BOXES.map(owned).into(),
             Self::VehicleClass => VehicleClass::ALL.iter().map(|class| (class.name(), vehicle_class_toml(*class))).collect(),
@@ -90,15 +90,15 @@ fn vehicle_class_toml(class: VehicleClass) -> String {
 }
 
 impl Show {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let (mut found, mut known) = (Vec::new(), Vec::new());
         for kind in BuiltInKind::value_variants() {
             if self.kind.is_none_or(|wanted| wanted == *kind) {
                 let files = kind.files()?;
                 let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
-                known.push(format!("{}: {}", kind.word(), names.join(", ")));
+                known.push(format!("{}: {}", kind.name(), names.join(", ")));
                 found.extend(
-                    files.into_iter().filter(|(name, _)| *name == self.name).map(|(_, text)| (kind.word(), text)),
+                    files.into_iter().filter(|(name, _)| *name == self.name).map(|(_, text)| (kind.name(), text)),
                 );
             }
         }
@@ -107,7 +107,7 @@ impl Show {
                 Some(_) => format!("`{}` is a built-in controller, which is no file (see `crumple list`)", self.name),
                 None => format!("there is no built-in file `{}`. Names: {}", self.name, known.join("; ")),
             };
-            return Err(Failure::Input(problem));
+            return Err(CliError::Input(problem));
         };
         for (other, _) in others {
             output::note(

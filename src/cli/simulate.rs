@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::run_report::{Judged, Report, braking_without_cause, describe, lane_changes, left_behind};
-use super::{Failure, choice, feature, subject};
-use crumple_report::draw::{self, Layout, MotionFigure};
+use super::run_report::{SpecificationResult, RunReport, unnecessary_braking, describe, lane_changes, left_behind};
+use super::{CliError, value_enums, feature, args};
+use crumple_report::draw::{self, PanelArrangement, MotionFigure};
 use crumple_report::export;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
-use crumple_store::disk::Files;
+use crumple_store::disk::StagedFiles;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in, file};
+use crumple_world::scenario::{Scenario, built_in_scenario, file};
 use crumple_world::sim::{
-    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, Simulated, Trace, simulate, simulate_batch,
+    AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate, simulate_batch,
 };
 
 /// Run scenarios and say what happened
@@ -44,7 +44,7 @@ pub(super) struct Simulate {
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::controller)]
+    #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::parse_controller)]
     controller: NamedController,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -53,16 +53,16 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
     /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the scenario's
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = seconds)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
     /// What happens when vehicles touch
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::one_of(value_enums::AFTER_CONTACT))]
     after_contact: AfterContact,
     /// Draw position, speed and spacing over time; a file there is replaced
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row a sample and vehicle; a file there is replaced
-    #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| ending_in(path, ["csv", "parquet"]))]
+    #[arg(long, value_name = "F.csv|F.parquet", value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"]))]
     trace: Option<PathBuf>,
     /// Say whether this holds, and how robustly: `no contact`, or a formula of signal temporal logic; may be repeated
     #[arg(long, value_name = "STL")]
@@ -140,26 +140,26 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl Simulate {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
-            return Err(Failure::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
+            return Err(CliError::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
         }
         // `*.toml` of a folder that version 0.1.0 wrote includes its recorded verdicts.
         let is_verdicts = |name: &str| {
             Path::new(name).ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(Path::new(name)).is_ok()
         };
         let names = self.scenarios.iter().filter(|name| self.scenarios.len() == 1 || !is_verdicts(name));
-        let scenarios = names.map(|name| self.scenario(name)).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = names.map(|name| self.load_scenario(name)).collect::<Result<Vec<_>, _>>()?;
         if let Some(scenario) = scenarios.first() {
-            self.spec.iter().try_for_each(|text| args::specification(text, scenario, quiet).map(drop))?;
+            self.spec.iter().try_for_each(|text| args::parse_specification(text, scenario, quiet).map(drop))?;
         }
         self.note_other_controllers(quiet);
-        let options = self.options();
+        let options = self.run_options();
         let runs = scenarios
             .iter()
             .map(|scenario| {
                 Run::new(scenario, options.clone())
-                    .map_err(|error| Failure::Input(format!("{}: {error}", scenario.spec().name)))
+                    .map_err(|error| CliError::Input(format!("{}: {error}", scenario.spec().name)))
             })
             .collect::<Result<Vec<_>, _>>()?;
         for scenario in scenarios.iter().filter(|scenario| !scenario.has_vehicle_under_test()) {
@@ -172,25 +172,25 @@ impl Simulate {
             self.render(&runs[index], &simulated, many)
         });
         let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let mut files = Files::default();
+        let mut files = StagedFiles::default();
         for (path, contents) in results.iter().flat_map(|result| &result.files) {
-            files.stage(&output::place(path)?, contents)?;
+            files.stage(&output::resolve_output_path(path)?, contents)?;
         }
         files.commit()?;
         let printed =
             output::print_coloured(self.format, &results.iter().map(|result| result.text.as_str()).collect::<String>());
-        Failure::gate_first(self.check_expectation(&runs, &results), printed)
+        CliError::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
     /// Everything to print and write of one run, so that its trace need not be kept.
-    fn render(&self, run: &Run, simulated: &Simulated, is_one_of_many: bool) -> Result<RenderedRun, Failure> {
+    fn render(&self, run: &Run, simulated: &SimulationResult, is_one_of_many: bool) -> Result<RenderedRun, CliError> {
         let report = self.report(run, simulated)?;
         let violated = report.specifications.iter().any(|judged| !judged.satisfied);
-        let judged = &report.braking_without_cause;
-        let brakes_with_cause = !judged.is_empty() && judged.iter().all(|one| one.braking.is_none());
+        let judged = &report.unnecessary_braking;
+        let brakes_with_cause = !judged.is_empty() && judged.iter().all(|one| one.braking.is_empty());
         let is_useful = brakes_with_cause && report.left_behind.is_empty();
         let text = match self.format {
-            OutputFormat::Json => serde_json::to_string(&report).map_err(Failure::input)? + "\n",
+            OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
             OutputFormat::Text => describe(&report, run.scenario()),
         };
         let mut files = Vec::new();
@@ -198,14 +198,14 @@ impl Simulate {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
                 files.push((
-                    named(path, name),
-                    picture(path, run.scenario(), &self.controller.name, trace, &simulated.impacts)?,
+                    path_for_scenario(path, name),
+                    render_motion_figure(path, run.scenario(), &self.controller.name, trace, &simulated.impacts)?,
                 ));
             }
             if let Some(path) = &self.trace {
                 let is_csv = extension(path) == Some("csv");
-                let table = if is_csv { export::csv(trace).map_err(Failure::input) } else { feature::parquet(trace) };
-                files.push((named(path, name), table?));
+                let table = if is_csv { export::to_csv(trace).map_err(CliError::input) } else { feature::encode_parquet(trace) };
+                files.push((path_for_scenario(path, name), table?));
             }
         }
         Ok(RenderedRun {
@@ -221,9 +221,9 @@ impl Simulate {
     /// Says which scenario files are recorded with other controllers than the one that drives here.
     fn note_other_controllers(&self, quiet: bool) {
         let mut records = VerdictRecordReader::default();
-        for name in self.scenarios.iter().filter(|name| built_in(name).is_none()) {
+        for name in self.scenarios.iter().filter(|name| built_in_scenario(name).is_none()) {
             // A record that cannot be read says nothing of a run.
-            let Ok(Some(recorded)) = records.about(Path::new(name)) else { continue };
+            let Ok(Some(recorded)) = records.find(Path::new(name)) else { continue };
             let others: Vec<_> = recorded.by_controller().iter().map(|verdict| verdict.controller.as_str()).collect();
             if !others.contains(&self.controller.name.as_str()) {
                 let (own, others) = (&self.controller.name, others.join("` and `"));
@@ -235,11 +235,11 @@ impl Simulate {
         }
     }
 
-    fn load_scenario(&self, name: &str) -> Result<Scenario, Failure> {
-        let scenario = args::scenario(name)?;
+    fn load_scenario(&self, name: &str) -> Result<Scenario, CliError> {
+        let scenario = args::load_scenario(name)?;
         match self.seed {
             None => Ok(scenario),
-            Some(seed) => scenario.edited(|spec| spec.seed = seed).map_err(|e| Failure::Input(format!("--seed: {e}"))),
+            Some(seed) => scenario.edited(|spec| spec.seed = seed).map_err(|e| CliError::Input(format!("--seed: {e}"))),
         }
     }
 
@@ -253,10 +253,10 @@ impl Simulate {
         }
     }
 
-    fn report<'a>(&'a self, run: &'a Run, result: &'a Simulated) -> Result<Report<'a>, Failure> {
+    fn report<'a>(&'a self, run: &'a Run, result: &'a SimulationResult) -> Result<RunReport<'a>, CliError> {
         let scenario = run.scenario();
         let spec = scenario.spec();
-        Ok(Report {
+        Ok(RunReport {
             scenario: &spec.name,
             controller: &self.controller.name,
             estimator: self.estimator.name(),
@@ -269,23 +269,23 @@ impl Simulate {
             vehicles_involved: result.vehicles_involved(),
             lane_changes: lane_changes(scenario, result),
             interventions: &result.interventions,
-            braking_without_cause: braking_without_cause(scenario, result),
+            unnecessary_braking: unnecessary_braking(scenario, result),
             left_behind: left_behind(scenario, result),
-            specifications: self.judge(scenario).map_err(|error| Failure::Input(format!("--spec: {error}")))?,
+            specifications: self.check_specifications(scenario).map_err(|error| CliError::Input(format!("--spec: {error}")))?,
         })
     }
 
     /// What each specification says; those that need the same kind of run share one.
-    fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<Judged>, SpecificationError> {
-        let mut runs: Vec<(Run, RecordingLevel, Simulated)> = Vec::new();
+    fn check_specifications(&self, scenario: &Scenario) -> Result<Vec<SpecificationResult>, SpecificationError> {
+        let mut runs: Vec<(Run, RecordingLevel, SimulationResult)> = Vec::new();
         let judge = |text: &String| {
             let specification = Specification::parse(text, scenario)?;
-            let (keep, after_contact) = (specification.keep(), specification.after_contact());
+            let (keep, after_contact) = (specification.recording_level(), specification.after_contact());
             let known = |(run, kept, _): &_| (*kept, Run::options(run).after_contact) == (keep, after_contact);
             let index = match runs.iter().position(known) {
                 Some(index) => index,
                 None => {
-                    let run = Run::new(scenario, self.options().with_after_contact(after_contact))?;
+                    let run = Run::new(scenario, self.run_options().with_after_contact(after_contact))?;
                     let result = simulate(&run, keep);
                     runs.push((run, keep, result));
                     runs.len() - 1
@@ -293,12 +293,12 @@ impl Simulate {
             };
             let verdict = specification.judge(&runs[index].0, &runs[index].2)?;
             let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
-            Ok(Judged { specification: specification.to_string(), satisfied, robustness })
+            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness })
         };
         self.spec.iter().map(judge).collect()
     }
 
-    fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), Failure> {
+    fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {
         let Some(expected) = self.expect else { return Ok(()) };
         let otherwise: Vec<_> = runs
             .iter()
@@ -309,7 +309,7 @@ impl Simulate {
         if otherwise.is_empty() {
             return Ok(());
         }
-        Err(Failure::Gate(format!("expected {} in {}", expected.in_words(), otherwise.join(", "))))
+        Err(CliError::Gate(format!("expected {} in {}", expected.description(), otherwise.join(", "))))
     }
 }
 
@@ -320,13 +320,13 @@ pub(super) fn render_motion_figure(
     controller: &str,
     trace: &Trace,
     impacts: &[Impact],
-) -> Result<Vec<u8>, Failure> {
+) -> Result<Vec<u8>, CliError> {
     let title = format!("{}, {controller}", scenario.spec().name);
     let labels = draw::vehicle_names(scenario);
     let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
-    let picture = draw::motion(&figure, Layout::Wide);
+    let picture = simulate_failures::motion(&figure, PanelArrangement::Wide);
     match extension(path) {
-        Some("png") => feature::png(&picture),
+        Some("png") => feature::render_png(&picture),
         _ => Ok(picture.document().into_bytes()),
     }
 }

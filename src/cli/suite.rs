@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
-use super::{Failure, choice, interrupt, output, progress, subject, suite_folder, suite_map};
-use crumple_core::observer::{Listener, Progress};
-use crumple_core::quoted::ShellWord;
+use super::{CliError, value_enums, interrupt, output, progress, args, suite_folder, suite_map};
+use crumple_core::observer::{Listener, RunProgress};
+use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
-use crumple_store::shard::{MissingShards, Shard};
+use crumple_store::shard::{MissingShards, ShardId};
 use crumple_suites::{
-    Failed, MergedSuite, UNSHIPPED_DOCUMENTS, SHIPPED, DISCLAIMER, Suite, SuiteResult, TestVerdict, Tested, run, run_shard,
+    FailedPoint, MergedSuite, UNSHIPPED_DOCUMENTS, SHIPPED_SUITES, DISCLAIMER, TestSuite, SuiteResult, TestVerdict, ControllerResult, run, run_shard,
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -32,7 +32,7 @@ enum SuiteSubcommand {
     List {
         /// How to print
         #[arg(long, value_enum, default_value = "text")]
-        format: super::simulate::Format,
+        format: super::simulate::SuiteFormat,
     },
     /// Print the file of a suite, to read or to change
     Show {
@@ -67,7 +67,7 @@ struct RunSuite {
     /// A suite that is shipped (see `crumple suite list`), or a file
     suite: String,
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated
-    #[arg(long = "controller", value_name = "C", required = true, value_parser = args::controller)]
+    #[arg(long = "controller", value_name = "C", required = true, value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -79,7 +79,7 @@ struct RunSuite {
     /// Make shard I of N only: a range of the tests, each with a controller, N at most their number; `crumple merge` puts shards
     /// together and prints what one machine would
     #[arg(long, value_name = "I/N", conflicts_with_all = ["expect", "format"])]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     /// Go on with an interrupted shard
     #[arg(long, requires = "shard")]
     resume: bool,
@@ -100,45 +100,45 @@ Examples:
 struct SuiteTable {
     /// Controller of the vehicle under test (see `crumple list controllers`); may be repeated [default: every built-in one, and
     /// those that were learned behind the shield, too]
-    #[arg(long = "controller", value_name = "C", value_parser = args::controller)]
+    #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// What the vehicle under test looks through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
     estimator: EstimatorKind,
     /// How to print: a table in Markdown, or one JSON object a suite, as `crumple suite run` has it
     #[arg(long, value_enum, default_value = "text")]
-    format: super::simulate::Format,
+    format: super::simulate::SuiteFormat,
 }
 
 impl SuiteTable {
-    fn run(self) -> Result<(), Failure> {
-        let controllers = if self.controllers.is_empty() { built_in()? } else { self.controllers };
+    fn run(self) -> Result<(), CliError> {
+        let controllers = if self.controllers.is_empty() { default_controllers()? } else { self.controllers };
         check_unique_names(&controllers)?;
-        let run = |(name, _): &(&str, &str)| run(&find(name)?, &controllers, self.estimator).map_err(Failure::input);
-        let results = SHIPPED.iter().map(run).collect::<Result<Vec<_>, Failure>>()?;
+        let run = |(name, _): &(&str, &str)| run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input);
+        let results = SHIPPED_SUITES.iter().map(run).collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
-            super::simulate::Format::Json => results.iter().try_for_each(output::print_json),
-            super::simulate::Format::Text => output::print(&suite::table(&results)),
+            super::simulate::SuiteFormat::Json => results.iter().try_for_each(output::print_json),
+            super::simulate::SuiteFormat::Text => output::print(&suite::table(&results)),
         }
     }
 }
 
 /// A controller that is named twice is a mistake.
-fn check_unique_names(controllers: &[NamedController]) -> Result<(), Failure> {
+fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
     let names = || controllers.iter().map(|controller| controller.name.as_str());
     match names().enumerate().find(|(place, name)| names().take(*place).any(|before| before == *name)) {
-        Some((_, name)) => Err(Failure::Input(format!("--controller: `{name}` is named twice"))),
+        Some((_, name)) => Err(CliError::Input(format!("--controller: `{name}` is named twice"))),
         None => Ok(()),
     }
 }
 
 /// Every built-in controller, and those that were learned behind the shield, too.
-fn default_controllers() -> Result<Vec<NamedController>, Failure> {
-    let all = ControllerSpec::built_in();
+fn default_controllers() -> Result<Vec<NamedController>, CliError> {
+    let all = ControllerSpec::all();
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
     let names = all.iter().map(|spec| spec.name().to_owned()).chain(shielded);
-    names.map(|name| NamedController::find(&name, Path::new("")).map_err(Failure::input)).collect()
+    names.map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::input)).collect()
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -160,10 +160,10 @@ pub(super) enum SuiteFormat {
 }
 
 impl SuiteCommand {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         match self.command {
-            SuiteSubcommand::List { format } => list(format),
-            SuiteSubcommand::Show { suite } => show(&suite),
+            SuiteSubcommand::List { format } => list_suites(format),
+            SuiteSubcommand::Show { suite } => show_suite(&suite),
             SuiteSubcommand::Run(command) => command.run(quiet),
             SuiteSubcommand::Table(command) => command.run(),
             SuiteSubcommand::Map(command) => command.run(),
@@ -172,24 +172,24 @@ impl SuiteCommand {
 }
 
 /// The suite that is shipped under a name, or the one in a file.
-fn find_suite(name: &str) -> Result<Suite, Failure> {
-    if let Some(suite) = Suite::shipped(name) {
+fn find_suite(name: &str) -> Result<TestSuite, CliError> {
+    if let Some(suite) = TestSuite::shipped(name) {
         return Ok(suite?);
     }
     let path = Path::new(name);
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = SHIPPED.iter().map(|(name, _)| *name).collect();
-        return Err(Failure::Input(format!("`{name}` is neither a suite ({}) nor a file", known.join(", "))));
+        let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
+        return Err(CliError::Input(format!("`{name}` is neither a suite ({}) nor a file", known.join(", "))));
     }
-    Ok(Suite::load(path)?)
+    Ok(TestSuite::load(path)?)
 }
 
-fn list_suites(format: super::simulate::Format) -> Result<(), Failure> {
+fn list_suites(format: super::simulate::SuiteFormat) -> Result<(), CliError> {
     let mut suites = Vec::new();
     // Writing to a string cannot fail.
     let mut text = String::new();
-    for (name, _) in SHIPPED {
-        let suite = find(name)?;
+    for (name, _) in SHIPPED_SUITES {
+        let suite = find_suite(name)?;
         let spec = suite.spec();
         let document = format!("{}, {}", spec.document, spec.edition);
         let _ = writeln!(text, "  {name:<20}{} {document}", spec.about);
@@ -201,54 +201,54 @@ fn list_suites(format: super::simulate::Format) -> Result<(), Failure> {
         absent.push(serde_json::json!({ "document": document, "why": why }));
     }
     let all = serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
-    output::print_result(format, &all, || format!("{text}{STATEMENT}\n"))
+    output::print_result(format, &all, || format!("{text}{DISCLAIMER}\n"))
 }
 
-fn show_suite(name: &str) -> Result<(), Failure> {
-    find(name)?;
-    let text = match SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
+fn show_suite(name: &str) -> Result<(), CliError> {
+    find_suite(name)?;
+    let text = match SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name) {
         Some((_, text)) => (*text).to_owned(),
         None => file::read(Path::new(name))?,
     };
-    output::print(&format!("# {STATEMENT}\n{text}"))
+    output::print(&format!("# {DISCLAIMER}\n{text}"))
 }
 
 impl RunSuite {
-    fn run(self, quiet: bool) -> Result<(), Failure> {
-        let suite = find(&self.suite)?;
+    fn run(self, quiet: bool) -> Result<(), CliError> {
+        let suite = find_suite(&self.suite)?;
         check_unique_names(&self.controllers)?;
         if let Some(shard) = self.shard {
-            return self.make(&suite, shard, quiet);
+            return self.run_shard(&suite, shard, quiet);
         }
         // Known before the work is done.
         self.out.as_deref().map(suite_folder::open).transpose()?;
-        let result = run(&suite, &self.controllers, self.estimator).map_err(Failure::input)?;
+        let result = run(&suite, &self.controllers, self.estimator).map_err(CliError::input)?;
         if let Some(folder) = &self.out {
             suite_folder::write(&result, folder, quiet)?;
         }
-        let text = rendered(&result, &self.controllers, self.out.as_deref(), self.format)?;
+        let text = render(&result, &self.controllers, self.out.as_deref(), self.format)?;
         let has_failed =
             result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
             output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
         }
         let printed = match self.format {
-            SuiteFormat::Text => output::print_coloured(super::simulate::Format::Text, &text),
+            SuiteFormat::Text => output::print_coloured(super::simulate::SuiteFormat::Text, &text),
             SuiteFormat::Json | SuiteFormat::Junit | SuiteFormat::Html => output::print(&text),
         };
-        Failure::gate_first(self.check(&result), printed)
+        CliError::gate_first(self.check_expectation(&result), printed)
     }
 
-    fn run_shard(&self, suite: &Suite, shard: Shard, quiet: bool) -> Result<(), Failure> {
-        let default = || PathBuf::from(format!("crumple-suite-shard-{}-of-{}", shard.index(), shard.of()));
+    fn run_shard(&self, suite: &TestSuite, shard: ShardId, quiet: bool) -> Result<(), CliError> {
+        let default = || PathBuf::from(format!("crumple-suite-shard-{}-of-{}", shard.index(), shard.count()));
         let out = self.out.clone().unwrap_or_else(default);
         output::note_nothing_to_resume(self.resume, &out, quiet);
-        interrupt::says(
+        interrupt::set_exit_message(
             format!("every test is kept in {}: the same command with --resume goes on", out.display()),
             quiet,
         );
-        let bar = progress::bar("testing", 0, quiet);
-        let observer = Listener(|tests: &Progress| {
+        let bar = progress::run_bar("testing", 0, quiet);
+        let observer = Listener(|tests: &RunProgress| {
             bar.set_length(tests.total.unwrap_or_default());
             bar.set_position(tests.done);
         });
@@ -261,7 +261,7 @@ impl RunSuite {
         ))
     }
 
-    fn check_expectation(&self, result: &SuiteResult) -> Result<(), Failure> {
+    fn check_expectation(&self, result: &SuiteResult) -> Result<(), CliError> {
         let missed = result.tests().flat_map(|(_, test)| {
             let missed = test.controllers.iter().filter(|tested| {
                 !tested.is_passed() && !matches!(tested.verdict, TestVerdict::Refused { .. } if tested.points == 0)
@@ -271,7 +271,7 @@ impl RunSuite {
         let missed: Vec<_> = missed.collect();
         match self.expect {
             Some(SuiteExpectation::Passed) if !missed.is_empty() => {
-                Err(Failure::Gate(format!("expected every test to pass, and these do not: {}", missed.join(", "))))
+                Err(CliError::Gate(format!("expected every test to pass, and these do not: {}", missed.join(", "))))
             }
             _ => Ok(()),
         }
@@ -279,12 +279,12 @@ impl RunSuite {
 }
 
 /// Puts shards together and prints what one machine would, with the scenarios that failed in a folder.
-pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, quiet: bool) -> Result<(), Failure> {
+pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, quiet: bool) -> Result<(), CliError> {
     let Some(result) = merged.result() else {
         let (missing_tests, shards) = (merged.missing_tests(), merged.missing_shards());
         let missing = &missing_tests;
-        let mut shown: Vec<_> = missing.iter().take(MOST_SHOWN).cloned().collect();
-        if let Some(more @ 1..) = missing.len().checked_sub(MOST_SHOWN) {
+        let mut shown: Vec<_> = missing.iter().take(MAX_SHOWN).cloned().collect();
+        if let Some(more @ 1..) = missing.len().checked_sub(MAX_SHOWN) {
             shown.push(format!("and {more} more"));
         }
         let gate = format!("tests are missing{shards}, and nothing is written: {}", shown.join(", "));
@@ -292,7 +292,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
             SuiteFormat::Json => output::print_json(&MissingTests { missing_tests, shards }),
             SuiteFormat::Text | SuiteFormat::Junit | SuiteFormat::Html => Ok(()),
         };
-        return Failure::gate_first(Err(Failure::Gate(gate)), printed);
+        return CliError::gate_first(Err(CliError::Gate(gate)), printed);
     };
     suite_folder::write(&result, folder, quiet)?;
     // Only a page drives again, for its drawings.
@@ -304,7 +304,7 @@ pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, qu
             Err(unavailable) => output::note(&format!("note: failures are not drawn: {unavailable}"), quiet),
         }
     }
-    output::print(&rendered(&result, &controllers, Some(folder), format)?)
+    output::print(&render(&result, &controllers, Some(folder), format)?)
 }
 
 /// What is missing of a suite, for programs.
@@ -324,18 +324,18 @@ fn render(
     controllers: &[NamedController],
     out: Option<&Path>,
     format: SuiteFormat,
-) -> Result<String, Failure> {
-    let replay = |failed: &Failed, tested: &Tested| replay(out?, failed, tested, result.estimator);
+) -> Result<String, CliError> {
+    let replay = |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
     Ok(match format {
-        SuiteFormat::Json => serde_json::to_string(result).map_err(Failure::input)? + "\n",
+        SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::xml(result),
-        SuiteFormat::Html => suite::html(result, controllers, replay),
-        SuiteFormat::Text => suite::text(result, replay),
+        SuiteFormat::Html => suite::render_html(result, controllers, replay),
+        SuiteFormat::Text => suite::render_text(result, replay),
     })
 }
 
 /// The command that shows a failure.
-fn replay_command(out: &Path, failed: &Failed, tested: &Tested, estimator: EstimatorKind) -> Option<String> {
+fn replay_command(out: &Path, failed: &FailedPoint, tested: &ControllerResult, estimator: EstimatorKind) -> Option<String> {
     let path = out.join(format!("{}.toml", failed.scenario_name));
     let words = ["simulate", path.to_str()?, "--controller", &tested.controller, "--estimator", estimator.name()];
     let words: Vec<_> = words.iter().map(|word| ShellWord(word).to_string()).collect();

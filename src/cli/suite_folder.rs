@@ -5,31 +5,31 @@ use std::fs;
 use std::path::Path;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::{Failure, output};
+use super::{CliError, output};
 use crumple_store::disk::DiskError;
-use crumple_suites::{Failed, SuiteResult, Tested};
+use crumple_suites::{FailedPoint, SuiteResult, ControllerResult};
 use crumple_world::scenario::file;
 
 /// Opens the folder, and reads which files an earlier run wrote there. The ending keeps the listing from being read as a scenario.
-pub(super) fn open(folder: &Path) -> Result<OutputFolder, Failure> {
-    OutputFolder::listed(folder, "failures.sha256")
+pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {
+    OutputFolder::with_listing(folder, "failures.sha256")
 }
 
 /// Writes the scenario of every point that failed, once, in place of those of the run before, and names the files that stay.
-pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<(), Failure> {
+pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<(), CliError> {
     let tested = result.tests().flat_map(|(_, test)| &test.controllers);
-    let text = |one: &Failed| {
-        let text = file::to_toml(&one.scenario).map_err(Failure::input)?;
+    let text = |one: &FailedPoint| {
+        let text = file::to_toml(&one.scenario).map_err(CliError::input)?;
         Ok((format!("{}.toml", one.scenario_name), text.into_bytes()))
     };
-    let failed = tested.flat_map(Tested::failures).map(text).collect::<Result<BTreeMap<_, _>, Failure>>()?;
+    let failed = tested.flat_map(ControllerResult::failures).map(text).collect::<Result<BTreeMap<_, _>, CliError>>()?;
     let failed: Vec<_> = failed.into_iter().collect();
-    open(folder)?.write(&failed, EarlierFiles::Go)?;
+    open(folder)?.write(&failed, EarlierFiles::Replace)?;
     note_other_files(folder, &failed.iter().map(|(name, _)| name.as_str()).collect(), quiet)
 }
 
 /// Names the scenario files in a folder that are not of this run.
-fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), Failure> {
+fn note_other_files(folder: &Path, own: &BTreeSet<&str>, quiet: bool) -> Result<(), CliError> {
     let entries = fs::read_dir(folder).map_err(DiskError::at(folder))?.flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     let others: BTreeSet<String> =

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::simulate::Format;
-use super::{Failure, choice, feature, output, subject};
-use crumple_report::suite::{map_figure, map_html, map_text};
-use crumple_store::disk::Files;
-use crumple_suites::{CrashMap, MapProblem, MapSpec, Situation};
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, feature, output, args};
+use crumple_report::suite::{map_figure, render_map_html, render_map_text};
+use crumple_store::disk::StagedFiles;
+use crumple_suites::{CrashMap, MapProblem, CrashMapSpec, CrashMapSituation};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -29,7 +29,7 @@ pub(super) struct MapCommand {
     #[arg(value_enum)]
     situation: MapKind,
     /// Controller beside the reference drivers (see `crumple list controllers`); may be repeated
-    #[arg(long = "controller", value_name = "C", value_parser = args::controller)]
+    #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// What the controllers look through; reference drivers see the truth
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -41,14 +41,14 @@ pub(super) struct MapCommand {
     #[arg(long, value_name = "KM/H")]
     own_speed: Option<f64>,
     /// Cells across and up, 2 to 100 each
-    #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = cells)]
+    #[arg(long, value_name = "AxB", default_value = "24x18", value_parser = parse_cells)]
     cells: [usize; 2],
     /// Write the map here; may be repeated; a file there is replaced
-    #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = MapFile::of)]
+    #[arg(long, value_name = "F.svg|F.png|F.html|F.json", value_parser = MapFile::parse)]
     out: Vec<MapFile>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -99,44 +99,44 @@ fn parse_cells(text: &str) -> Result<[usize; 2], String> {
 }
 
 impl MapCommand {
-    pub(super) fn run(self) -> Result<(), Failure> {
+    pub(super) fn run(self) -> Result<(), CliError> {
         let (time_gap_s, own_speed_kmph) = (self.time_gap.unwrap_or(1.5), self.own_speed.unwrap_or(100.0));
         let (situation, held) = match self.situation {
-            MapKind::CarFollowing => (Situation::CarFollowing { time_gap_s }, "--time-gap"),
-            MapKind::CutInGap => (Situation::CutInGap { own_speed_kmph }, "--own-speed"),
-            MapKind::CutInTime => (Situation::CutInTime { own_speed_kmph }, "--own-speed"),
+            MapKind::CarFollowing => (CrashMapSituation::CarFollowing { time_gap_s }, "--time-gap"),
+            MapKind::CutInGap => (CrashMapSituation::CutInGap { own_speed_kmph }, "--own-speed"),
+            MapKind::CutInTime => (CrashMapSituation::CutInTime { own_speed_kmph }, "--own-speed"),
         };
         for (option, is_given) in [("--time-gap", self.time_gap.is_some()), ("--own-speed", self.own_speed.is_some())] {
             if is_given && option != held {
                 let map = situation.name();
-                return Err(Failure::Input(format!("{option}: has no place on the map {map}, which holds {held}")));
+                return Err(CliError::Input(format!("{option}: has no place on the map {map}, which holds {held}")));
             }
         }
-        let spec = MapSpec::new(situation, self.cells).map_err(|problem| {
+        let spec = CrashMapSpec::new(situation, self.cells).map_err(|problem| {
             let option = if matches!(problem, MapProblem::Cells(..)) { "--cells" } else { held };
-            Failure::Input(format!("{option}: {problem}"))
+            CliError::Input(format!("{option}: {problem}"))
         })?;
-        let map = spec.run(&self.controllers, self.estimator).map_err(Failure::input)?;
-        let mut files = Files::default();
+        let map = spec.run(&self.controllers, self.estimator).map_err(CliError::input)?;
+        let mut files = StagedFiles::default();
         for picture in &self.out {
-            files.stage(&output::place(&picture.path)?, picture.render(&map)?)?;
+            files.stage(&output::resolve_output_path(&picture.path)?, picture.render(&map)?)?;
         }
         files.commit()?;
-        output::print_result(self.format, &map, || map_text(&map))
+        output::print_result(self.format, &map, || render_map_text(&map))
     }
 }
 
 impl MapFile {
-    fn render(&self, map: &CrashMap) -> Result<Vec<u8>, Failure> {
+    fn render(&self, map: &CrashMap) -> Result<Vec<u8>, CliError> {
         Ok(match self.kind {
             MapFileFormat::Svg => map_figure(map).document().into_bytes(),
-            MapFileFormat::Png => feature::png(&map_figure(map))?,
-            MapFileFormat::Html => map_html(map).into_bytes(),
-            MapFileFormat::Json => json(map)?.into_bytes(),
+            MapFileFormat::Png => feature::render_png(&map_figure(map))?,
+            MapFileFormat::Html => render_map_html(map).into_bytes(),
+            MapFileFormat::Json => to_json(map)?.into_bytes(),
         })
     }
 }
 
-fn to_json(map: &CrashMap) -> Result<String, Failure> {
-    Ok(serde_json::to_string(map).map_err(Failure::input)? + "\n")
+fn to_json(map: &CrashMap) -> Result<String, CliError> {
+    Ok(serde_json::to_string(map).map_err(CliError::input)? + "\n")
 }

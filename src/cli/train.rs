@@ -9,17 +9,17 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::preset::Preset;
-use super::simulate::Format;
-use super::{Failure, interrupt, output, progress, subject};
+use super::preset::TrainingPreset;
+use super::simulate::OutputFormat;
+use super::{CliError, interrupt, output, progress, args};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    ConfigError, Event, EvaluationSet, MergedTrainings, SeedResult, SpaceShare, TrainingConfig, TrainingError,
-    TrainingFolder, TrainingShard, UNSEEN_DRAWS, finished_trainings, learning_curve, seed_folder, side_by_side,
+    TrainingConfigError, TrainingEvent, EvaluationSet, MergedTrainings, SeedResult, TrainingSpace, TrainingConfig, TrainingError,
+    TrainingFolder, TrainingShard, UNSEEN_DRAWS, read_finished_trainings, learning_curve, seed_folder, parallel_map,
 };
 use crumple_store::disk;
-use crumple_store::shard::{MissingShards, Shard, as_array};
-use crumple_store::work;
+use crumple_store::shard::{MissingShards, ShardId, format_ranges};
+use crumple_store::run_folder;
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -58,17 +58,17 @@ pub(super) struct Train {
     preset: String,
     /// Draw episodes from this space, built-in or a file, with a weight relative to others (1 by default); may be given several
     /// times, each space once, and replaces the preset's, with all costs counting once
-    #[arg(long, value_name = "S[=WEIGHT]", value_parser = space_share)]
-    space: Vec<SpaceShare>,
+    #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
+    space: Vec<TrainingSpace>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole(0..=u64::MAX))]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole_number(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
-    #[arg(long, value_name = "N", value_parser = args::whole(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number(1..=100_000))]
     seeds: Option<u64>,
     /// Of these seeds, train shard I of N only, N at most their number; `crumple merge` puts shards together, training.json included
     #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     /// Folder for policies, logs and checkpoints, made if it is not there; `training.sha256` lists the results that every command with this
     /// folder writes anew
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
@@ -77,15 +77,15 @@ pub(super) struct Train {
     #[arg(long)]
     resume: bool,
     /// Episodes at most, instead of the preset's: 1 to 10 000 000
-    #[arg(long, value_name = "N", value_parser = args::whole(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number(1..=10_000_000))]
     episodes: Option<u64>,
     /// How to print what the trained seeds come to
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// `traffic`, or `wet.toml=0.2`.
-fn parse_space_share(words: &str) -> Result<SpaceShare, String> {
+fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     let (space, weight) = match words.rsplit_once('=') {
         Some((_, "")) => return Err("no weight stands behind the `=`".to_owned()),
         Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is no weight"))?),
@@ -94,7 +94,7 @@ fn parse_space_share(words: &str) -> Result<SpaceShare, String> {
     if space.trim().is_empty() {
         return Err("no space is named".to_owned());
     }
-    Ok(SpaceShare { space: space.to_owned(), weight, costs_times: 1.0 })
+    Ok(TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 })
 }
 
 /// The file `training.json`: all finished trainings in the folder.
@@ -106,40 +106,40 @@ struct TrainingResult<'a> {
 }
 
 impl Train {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let config = self.config()?;
         let seeds: Vec<u64> = match (self.seeds, self.shard) {
-            (Some(count), Some(shard)) => shard.range(count, "seeds").map_err(Failure::input)?.collect(),
+            (Some(count), Some(shard)) => shard.range(count, "seeds").map_err(CliError::input)?.collect(),
             (Some(count), None) => (0..count).collect(),
             (None, _) => vec![self.seed.unwrap_or(0)],
         };
         let folder = |seed: &u64| seed_folder(&self.out, *seed);
         if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
             let taken = taken.display();
-            return Err(Failure::Input(format!("{taken} is there already: use --resume, or another --out")));
+            return Err(CliError::Input(format!("{taken} is there already: use --resume, or another --out")));
         }
         disk::make_folder(&self.out)?;
         // What cannot stand beside these is known before the work begins.
-        finished_trainings(&self.out, &config)?;
-        let check = || results_folder(&self.out)?.check(&RESULTS);
+        read_finished_trainings(&self.out, &config)?;
+        let check = || results_folder(&self.out)?.check(&RESULT_FILES);
         // Another training with the same --out may be writing them.
-        check().or_else(|_| work::exclusively(&self.out, check))?;
+        check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
         if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
-            TrainingShard::new(shard, count, &config)?.write_in(&self.out)?;
+            TrainingShard::new(shard, count, &config)?.write_to(&self.out)?;
         }
         let out = self.out.display();
-        interrupt::says(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
-        if work::is_there(&self.out) {
+        interrupt::set_exit_message(format!("what is done is kept in {out}: the same command with --resume goes on"), quiet);
+        if run_folder::is_run_folder(&self.out) {
             let problem = "holds other work: trainings need an --out of their own";
-            return Err(Failure::Input(format!("{}: {problem}", self.out.display())));
+            return Err(CliError::Input(format!("{}: {problem}", self.out.display())));
         }
         // Seeds may be added to those that are there: only where none is, a typing error is likely.
-        if !seeds.iter().any(|seed| work::is_there(&seed_folder(&self.out, *seed))) {
+        if !seeds.iter().any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed))) {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
         }
-        let held_out = EvaluationSet::of(&config)?;
+        let held_out = EvaluationSet::from_config(&config)?;
         let bar = progress::training_bar(config.episodes.saturating_mul(seeds.len() as u64), quiet);
-        let trained = side_by_side(&seeds, rayon::current_num_threads(), |seed| {
+        let trained = parallel_map(&seeds, rayon::current_num_threads(), |seed| {
             let result = self.train(&config, *seed, &held_out, &bar);
             if let (Err(failure), true) = (&result, seeds.len() > 1) {
                 bar.suspend(|| output::note(&format!("seed {seed}: {failure}"), quiet));
@@ -157,39 +157,39 @@ impl Train {
         }
         let mut printed = Ok(());
         if !done.is_empty() {
-            work::exclusively(&self.out, || write_results(&self.out, &config, quiet))?;
-            printed = output::print_result(self.format, &done, || table(&done, config.evaluation.ranking_draws));
+            run_folder::with_folder_lock(&self.out, || write_results(&self.out, &config, quiet))?;
+            printed = output::print_result(self.format, &done, || format_table(&done, config.evaluation.ranking_draws));
         }
-        Failure::gate_first(failure.map_or_else(|| gate(&done), Err), printed)
+        CliError::gate_first(failure.map_or_else(|| check_learned(&done), Err), printed)
     }
 
-    fn config(&self) -> Result<TrainingConfig, Failure> {
-        let preset = Preset::find(&self.preset)?;
+    fn config(&self) -> Result<TrainingConfig, CliError> {
+        let preset = TrainingPreset::find(&self.preset)?;
         let mut config = preset.config.clone();
         config.episodes = self.episodes.unwrap_or(config.episodes);
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
         // What cannot be drawn from is known before a folder is made.
-        match config.source() {
+        match config.scenario_source() {
             Ok(_) => Ok(config),
-            Err(error) if self.space.is_empty() => Err(preset.failure(error)),
+            Err(error) if self.space.is_empty() => Err(preset.error_at_line(error)),
             Err(error) => Err(self.option_error(&error)),
         }
     }
 
     /// An error of the spaces that options name, by what was written there.
-    fn option_error(&self, error: &ConfigError) -> Failure {
-        let (ConfigError::Field { field, .. } | ConfigError::Range { field, .. }) = error else {
-            return Failure::Input(format!("--space: {error}"));
+    fn option_error(&self, error: &TrainingConfigError) -> CliError {
+        let (TrainingConfigError::Field { field, .. } | TrainingConfigError::Range { field, .. }) = error else {
+            return CliError::Input(format!("--space: {error}"));
         };
         let index = field.strip_prefix("spaces[").and_then(|rest| rest.split(']').next()?.parse::<usize>().ok());
         let said = error.to_string();
         let said = said.strip_prefix(&format!("{field}: ")).unwrap_or(&said);
         let weight = if field.ends_with(".weight") { "the weight " } else { "" };
         match index.and_then(|index| self.space.get(index)) {
-            Some(share) => Failure::Input(format!("--space {}: {weight}{said}", share.space)),
-            None => Failure::Input(format!("--space: {said}")),
+            Some(share) => CliError::Input(format!("--space {}: {weight}{said}", share.space)),
+            None => CliError::Input(format!("--space: {said}")),
         }
     }
 
@@ -199,11 +199,11 @@ impl Train {
         seed: u64,
         held_out: &EvaluationSet,
         bar: &ProgressBar,
-    ) -> Result<SeedResult, Failure> {
+    ) -> Result<SeedResult, CliError> {
         let training = TrainingFolder::open(&self.out, config, seed, self.resume)?;
         bar.inc(training.episode());
         let shown = Mutex::new(SeedProgress::new(seed, bar));
-        let show = |event: &Event| shown.lock().unwrap_or_else(PoisonError::into_inner).event(event);
+        let show = |event: &TrainingEvent| shown.lock().unwrap_or_else(PoisonError::into_inner).update(event);
         let result = training.train(held_out, &Listener(show))?;
         bar.inc(config.episodes.saturating_sub(result.episodes));
         Ok(result)
@@ -213,22 +213,22 @@ impl Train {
 /// The files that every training with the same --out writes anew.
 const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
 
-fn results_folder(out: &Path) -> Result<OutputFolder, Failure> {
-    OutputFolder::listed(out, "training.sha256")
+fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
+    OutputFolder::with_listing(out, "training.sha256")
 }
 
 /// Writes what all seeds in the folder have come to, those of earlier commands with these.
-fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), Failure> {
-    let (results, logs): (Vec<_>, Vec<_>) = finished_trainings(out, config)?.into_iter().unzip();
+fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(), CliError> {
+    let (results, logs): (Vec<_>, Vec<_>) = read_finished_trainings(out, config)?.into_iter().unzip();
     let all = TrainingResult { version: env!("CARGO_PKG_VERSION"), config, seeds: &results };
     let curve = learning_curve(&config.name, &logs);
     let contents = [
-        serde_json::to_string_pretty(&all).map_err(Failure::input)? + "\n",
-        serde_json::to_string_pretty(&curve).map_err(Failure::input)? + "\n",
-        crumple_report::figures::learning_curve(&curve).document(),
+        serde_json::to_string_pretty(&all).map_err(CliError::input)? + "\n",
+        serde_json::to_string_pretty(&curve).map_err(CliError::input)? + "\n",
+        crumple_report::figures::draw_learning_curve(&curve).document(),
     ];
-    let files: Vec<_> = RESULTS.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
-    results_folder(out)?.write(&files, EarlierFiles::Stay)?;
+    let files: Vec<_> = RESULT_FILES.iter().map(|name| (*name).to_owned()).zip(contents.map(String::into_bytes)).collect();
+    results_folder(out)?.write(&files, EarlierFiles::Keep)?;
     let picture = out.join("learning-curve.svg");
     let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
     output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
@@ -248,42 +248,42 @@ struct MergedTrainingReport<'a> {
 }
 
 /// Puts the seeds of several shards together, with what they come to. Seeds that are missing end with exit code 1.
-pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: Format, quiet: bool) -> Result<(), Failure> {
-    if work::is_there(out) {
-        return Err(Failure::Input(format!(
+pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, quiet: bool) -> Result<(), CliError> {
+    if run_folder::is_run_folder(out) {
+        return Err(CliError::Input(format!(
             "{}: holds other work: trainings need an --out of their own",
             out.display()
         )));
     }
     let config = merged.config();
-    merged.write_in(out)?;
-    work::exclusively(out, || write_results(out, config, quiet))?;
-    let done: Vec<SeedResult> = finished_trainings(out, config)?.into_iter().map(|(result, _)| result).collect();
+    merged.write_to(out)?;
+    run_folder::with_folder_lock(out, || write_results(out, config, quiet))?;
+    let done: Vec<SeedResult> = read_finished_trainings(out, config)?.into_iter().map(|(result, _)| result).collect();
     let is_missing = |seed: &u64| !done.iter().any(|result| result.seed == *seed);
-    let of_seeds = merged.seeds();
+    let of_seeds = merged.seed_count();
     let missing: Vec<u32> = (0..of_seeds).filter(is_missing).filter_map(|seed| seed.try_into().ok()).collect();
     let shards = merged.missing_shards();
     let gate = match missing.is_empty() {
-        true => gate(&done),
-        false => Err(Failure::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", as_array(&missing)))),
+        true => check_learned(&done),
+        false => Err(CliError::Gate(format!("seeds are missing of {of_seeds}: {}{shards}", format_ranges(&missing)))),
     };
     let printed = match format {
-        Format::Json => output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
-        Format::Text if done.is_empty() => Ok(()),
-        Format::Text => output::print(&table(&done, config.evaluation.ranking_draws)),
+        OutputFormat::Json => output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards }),
+        OutputFormat::Text if done.is_empty() => Ok(()),
+        OutputFormat::Text => output::print(&format_table(&done, config.evaluation.ranking_draws)),
     };
-    Failure::gate_first(gate, printed)
+    CliError::gate_first(gate, printed)
 }
 
 /// Every seed has learned something.
-fn check_learned(results: &[SeedResult]) -> Result<(), Failure> {
+fn check_learned(results: &[SeedResult]) -> Result<(), CliError> {
     let unlearned = results.iter().filter(|result| !result.has_learned());
     let seeds: Vec<_> = unlearned.map(|result| result.seed.to_string()).collect();
     if seeds.is_empty() {
         return Ok(());
     }
     let seeds = seeds.join(", ");
-    Err(Failure::Gate(format!(
+    Err(CliError::Gate(format!(
         "no checkpoint was better than the untrained network, and no policy is kept: seed {seeds}"
     )))
 }
@@ -304,9 +304,9 @@ impl<'a> SeedProgress<'a> {
         Self { seed, bar, rewards: VecDeque::new(), safe_share: None }
     }
 
-    fn update(&mut self, event: &Event) {
+    fn update(&mut self, event: &TrainingEvent) {
         match event {
-            Event::Episode(record) => {
+            TrainingEvent::Episode(record) => {
                 self.rewards.push_back(record.reward);
                 if self.rewards.len() > REWARD_WINDOW {
                     self.rewards.pop_front();
@@ -319,7 +319,7 @@ impl<'a> SeedProgress<'a> {
                 ));
                 self.bar.inc(1);
             }
-            Event::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
+            TrainingEvent::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
             // The log has it; the bar has no place for it.
             _ => {}
         }
@@ -356,12 +356,12 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
             over all but the unseen\n"
 }
 
-impl From<TrainingError> for Failure {
+impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
         match error {
             diverged @ TrainingError::Diverged { .. } => Self::Gate(diverged.to_string()),
             TrainingError::Disk(error) => error.into(),
-            TrainingError::Work(error) => error.into(),
+            TrainingError::RunFolder(error) => error.into(),
             other => Self::input(other),
         }
     }

@@ -5,7 +5,7 @@ use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::{Aim, EscapeKind};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::recording::Leaders;
+use crumple_world::recording::LeaderSelection;
 use crumple_world::sim::AfterContact;
 
 /// A value, the name it goes by, and what it means in the long help.
@@ -51,9 +51,9 @@ pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
 ];
 
 /// Vehicles whose braking makes an episode of a recording.
-pub(super) const LEADERS: &[ArgValue<Leaders>] = &[
-    (Leaders::Any, "any", "Every vehicle with another behind it"),
-    (Leaders::First, "first", "Those that had no recorded vehicle ahead of them"),
+pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
+    (LeaderSelection::Any, "any", "Every vehicle with another behind it"),
+    (LeaderSelection::First, "first", "Those that had no recorded vehicle ahead of them"),
 ];
 
 /// Methods that estimate the probability of a rare failure.

@@ -9,18 +9,18 @@ use serde::Serialize;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
-use super::simulate::Format;
-use super::{Failure, choice, exposed, interrupt, progress, rare, reach, subject};
-use crumple_evidence::exposure::ExposedRate;
-use crumple_evidence::rare::{Effort, RareMethod, RarePlan};
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, exposure, interrupt, progress, rare, reach, args};
+use crumple_evidence::exposure::RatePerExposure;
+use crumple_evidence::rare::{SplittingConfig, RareMethod, RarePlan};
 use crumple_evidence::{
-    CertificateReport, CountProgress, RateConfig, RateFolderError, RatePlan, Tally, report_json, shipped_kernels,
+    CertificateReport, CountProgress, RateConfig, RateFolderError, RatePlan, CountTally, report_json, shipped_kernels,
 };
-use crumple_store::shard::Shard;
+use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::Space;
-use crumple_world::sim::{NamedController, Unanswered};
+use crumple_world::scenario::space::ScenarioSpace;
+use crumple_world::sim::{NamedController, FailedControllerRuns};
 
 /// Make claims and write certificates that `crumple check` accepts by itself
 #[derive(Args)]
@@ -31,9 +31,9 @@ pub(super) struct Verify {
 
 #[derive(Subcommand)]
 enum VerifySubcommand {
-    Shield(Shield),
-    Rate(Box<Rate>),
-    Reach(Box<reach::Reach>),
+    Shield(ShieldCommand),
+    Rate(Box<RateCommand>),
+    Reach(Box<reach::ReachCommand>),
 }
 
 /// The kernel a shield relies on, one certificate for each pair of vehicle classes
@@ -52,7 +52,7 @@ struct ShieldCommand {
     out: PathBuf,
     /// How to print: for a reader, or one JSON object a certificate, as `crumple check` has it
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 /// How often a controller fails at most, or that it fails less often than another
@@ -78,14 +78,14 @@ Examples:
   crumple verify rate --controller policy --space high-risk --rare")]
 struct RateCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Another controller on the same draws: show that the first fails less often
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     against: Option<NamedController>,
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
-    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::space)]
-    space: (String, Space),
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
+    space: (String, ScenarioSpace),
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present = "rare")]
     runs: Option<u64>,
@@ -107,10 +107,10 @@ struct RateCommand {
     repetitions: Option<u32>,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
     /// In a space fitted to episodes: resamples of these, to each of which it is fitted again: 0 (none) or 79 to 2000 [default: 200, with
     /// --rare 80, each with an estimate of about 20 000 runs]
-    #[arg(long, value_name = "N", value_parser = exposure::resamples)]
+    #[arg(long, value_name = "N", value_parser = exposure::parse_resamples)]
     resamples: Option<u32>,
     /// Runs made in each of them, without --rare: 50 to 100 000 [default: 500]
     #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
@@ -124,7 +124,7 @@ struct RateCommand {
     /// Make shard I of N only: a range of the blocks of runs (runs/100, at most 1000; of more than 100 000 000 runs 10 000), with
     /// --rare of the repetitions; `crumple merge` puts shards together, and certifies
     #[arg(long, value_name = "I/N")]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     /// Where registration, progress and certificate go [default: crumple-rate; of a shard, crumple-rate-shard-I-of-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -134,7 +134,7 @@ struct RateCommand {
 }
 
 impl Verify {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         match self.claim {
             VerifySubcommand::Shield(shield) => shield.run(),
             VerifySubcommand::Rate(rate) => rate.run(quiet),
@@ -143,31 +143,31 @@ impl Verify {
     }
 }
 
-impl Shield {
-    fn run(self) -> Result<(), Failure> {
+impl ShieldCommand {
+    fn run(self) -> Result<(), CliError> {
         let (mut text, kernels) = (String::new(), shipped_kernels());
         let file = |name: &str| format!("{name}.json");
         let contents = |(name, certificate): &(String, Certificate)| {
-            let text = serde_json::to_string_pretty(certificate).map_err(Failure::input)? + "\n";
+            let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
             Ok((file(name), text.into_bytes()))
         };
         let mut all = Vec::new();
         for (name, certificate) in &kernels {
             let report = CertificateReport::new(self.out.join(file(name)).display().to_string(), certificate);
-            text += &said(&report)?;
+            text += &verdict_line(&report)?;
             all.push(report);
         }
-        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, Failure>>()?;
-        OutputFolder::listed(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Go)?;
+        let contents = kernels.iter().map(contents).collect::<Result<Vec<_>, CliError>>()?;
+        OutputFolder::with_listing(&self.out, "shield.sha256")?.write(&contents, EarlierFiles::Replace)?;
         match self.format {
-            Format::Json => output::print(&report_json(&all).map_err(Failure::input)?),
-            Format::Text => output::print_coloured(Format::Text, &text),
+            OutputFormat::Json => output::print(&report_json(&all).map_err(CliError::input)?),
+            OutputFormat::Text => output::print_coloured(OutputFormat::Text, &text),
         }
     }
 }
 
-impl Rate {
-    fn run(self, quiet: bool) -> Result<(), Failure> {
+impl RateCommand {
+    fn run(self, quiet: bool) -> Result<(), CliError> {
         self.check_resampling()?;
         let Some(runs) = self.runs else { return self.estimate(quiet) };
         // clap asks for nothing that conflicts with what is there, and `--rare` does with `--runs`.
@@ -177,7 +177,7 @@ impl Rate {
             ("--repetitions", self.repetitions.is_some()),
         ];
         if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
-            return Err(Failure::Input(format!("{name}: is of --rare; a count is of runs without contact")));
+            return Err(CliError::Input(format!("{name}: is of --rare; a count is of runs without contact")));
         }
         let (is_comparison, out) = (self.against.is_some(), self.out_folder());
         let plan = RatePlan::new(RateConfig {
@@ -187,49 +187,49 @@ impl Rate {
             confidence: self.confidence,
             ..RateConfig::new(self.controller, self.space.1, runs)
         })
-        .map_err(Failure::input)?
+        .map_err(CliError::input)?
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
         let kept = format!("what is counted is kept in {}", out.display());
-        let go_on = || interrupt::says(format!("{kept}: the same command with --resume goes on"), quiet);
+        let go_on = || interrupt::set_exit_message(format!("{kept}: the same command with --resume goes on"), quiet);
         if let Some(shard) = self.shard {
             let mut part = plan.register_shard_in(shard, &out, self.resume)?;
             registered();
             go_on();
-            let bar = progress::bar("counting", part.runs(), quiet);
-            let done = part.count(&progress::advance(&bar));
+            let bar = progress::run_bar("counting", part.run_count(), quiet);
+            let done = part.count(&progress::bar_observer(&bar));
             bar.finish_and_clear();
             done?;
             let said = format!("{}: shard {shard}; `crumple merge` puts it together with the others\n", out.display());
-            let report = CountReport { shard: Some(shard), ..CountReport::of(part.tally(), &out) };
-            let words = || format!("{}{said}", counted(is_comparison, part.tally()));
+            let report = CountReport { shard: Some(shard), ..CountReport::new(part.tally(), &out) };
+            let words = || format!("{}{said}", tally_line(is_comparison, part.tally()));
             return output::print_result(self.format, &report, words);
         }
         let mut count = plan.register_in(&out, self.resume)?;
         registered();
         go_on();
-        let bar = progress::bar("counting", runs, quiet);
-        let certificate = count.certificate(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
+        let bar = progress::run_bar("counting", runs, quiet);
+        let certificate = count.certify(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
         bar.finish_and_clear();
         let (certificate, path) = match certificate {
             Ok(certificate) => (certificate, count.certificate_path()),
             // What was counted is an answer, too.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let confidence = Some(plan.registration().confidence);
-                let report = CountReport { confidence, ..CountReport::of(count.tally(), &out) };
-                let printed = output::print_result(self.format, &report, || counted(is_comparison, count.tally()));
-                return Failure::gate_first(Err(rejected.into()), printed);
+                let report = CountReport { confidence, ..CountReport::new(count.tally(), &out) };
+                let printed = output::print_result(self.format, &report, || tally_line(is_comparison, count.tally()));
+                return CliError::gate_first(Err(rejected.into()), printed);
             }
             Err(error) => return Err(error.into()),
         };
-        let said = judged(&path, &certificate)?;
+        let said = certificate_verdict(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed = plan.exposed(count.tally(), &progress::advance(&bar));
+        let exposed = plan.rate_per_exposure(count.tally(), &progress::bar_observer(&bar));
         bar.finish_and_clear();
-        let exposed = exposed.map_err(Failure::input)?;
-        let on_the_road = exposed.as_ref().map(exposure::text).unwrap_or_default();
-        let words = || format!("{}{said}{on_the_road}", counted(is_comparison, count.tally()));
+        let exposed = exposed.map_err(CliError::input)?;
+        let on_the_road = exposed.as_ref().map(exposure::format_rate).unwrap_or_default();
+        let words = || format!("{}{said}{on_the_road}", tally_line(is_comparison, count.tally()));
         let report = CountReport {
             certificate: Some(&path),
             // As accepted above.
@@ -239,18 +239,18 @@ impl Rate {
             },
             confidence: Some(plan.registration().confidence),
             exposed,
-            ..CountReport::of(count.tally(), &out)
+            ..CountReport::new(count.tally(), &out)
         };
         output::print_result(self.format, &report, words)
     }
 
-    fn estimate(self, quiet: bool) -> Result<(), Failure> {
+    fn estimate(self, quiet: bool) -> Result<(), CliError> {
         let space = self.space.1.clone();
         let specification = match &self.spec {
             None => Specification::NoContact,
             Some(text) => {
-                let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-                args::specification(text, &nominal, quiet)?
+                let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
+                args::parse_specification(text, &nominal, quiet)?
             }
         };
         let plan = RarePlan {
@@ -260,7 +260,7 @@ impl Rate {
             specification,
             method: self.rare.unwrap_or_default(),
             seed: self.seed,
-            effort: Effort {
+            effort: SplittingConfig {
                 samples: self.samples.unwrap_or(500) as usize,
                 repetitions: self.repetitions.unwrap_or(20) as usize,
             },
@@ -268,13 +268,13 @@ impl Rate {
         let resamples = self.resamples.unwrap_or(80);
         output::note_nothing_to_resume(self.resume, &self.out_folder(), quiet);
         if let Some(shard) = self.shard {
-            return rare::shard(&plan, (shard, resamples), &self.out_folder(), self.resume, (self.format, quiet));
+            return rare::run_shard(&plan, (shard, resamples), &self.out_folder(), self.resume, (self.format, quiet));
         }
         rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
     }
 
     /// Whether there is something to resample, if that is asked for.
-    fn check_resampling(&self) -> Result<(), Failure> {
+    fn check_resampling(&self) -> Result<(), CliError> {
         // None at all is what comes of it in any case.
         let asked = [
             ("--resamples", self.resamples.is_some_and(|resamples| resamples > 0)),
@@ -283,11 +283,11 @@ impl Rate {
         let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) else { return Ok(()) };
         if self.space.1.spec().exposure.is_none() {
             let problem = "was not fitted to episodes, so there are none to resample";
-            return Err(Failure::Input(format!("{option}: the space `{}` {problem}", self.space.0)));
+            return Err(CliError::Input(format!("{option}: the space `{}` {problem}", self.space.0)));
         }
         if self.against.is_some() {
             let problem = "is of the rate of one controller; with --against nothing is stated per hour";
-            return Err(Failure::Input(format!("{option}: {problem}")));
+            return Err(CliError::Input(format!("{option}: {problem}")));
         }
         Ok(())
     }
@@ -297,7 +297,7 @@ impl Rate {
         match (&self.out, self.shard) {
             (Some(out), _) => out.clone(),
             (None, None) => PathBuf::from(DEFAULT_OUT),
-            (None, Some(shard)) => PathBuf::from(format!("{OUT}-shard-{}-of-{}", shard.index(), shard.of())),
+            (None, Some(shard)) => PathBuf::from(format!("{DEFAULT_OUT}-shard-{}-of-{}", shard.index(), shard.count())),
         }
     }
 }
@@ -312,24 +312,24 @@ struct CountReport<'a> {
     folder: &'a Path,
     /// The shard, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    shard: Option<Shard>,
+    shard: Option<ShardId>,
     runs: u64,
     failures: u64,
     only_first_failed: u64,
     only_second_failed: u64,
     /// Runs without an answer, of the first controller and of the second.
-    unanswered: [Option<Unanswered>; 2],
+    unanswered: [Option<FailedControllerRuns>; 2],
     /// Where the certificate lies; of a shard there is none.
     certificate: Option<&'a Path>,
     /// Of one controller: the bound that the checker accepted.
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    exposed: Option<ExposedRate>,
+    exposed: Option<RatePerExposure>,
 }
 
 impl<'a> CountReport<'a> {
-    fn new(tally: &'a Tally, folder: &'a Path) -> Self {
+    fn new(tally: &'a CountTally, folder: &'a Path) -> Self {
         Self {
             registration_sha256: &tally.registration_sha256,
             folder,
@@ -348,27 +348,27 @@ impl<'a> CountReport<'a> {
 }
 
 /// What was counted, in a line.
-pub(super) fn tally_line(is_comparison: bool, tally: &Tally) -> String {
-    tally.words(is_comparison) + "\n"
+pub(super) fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
+    tally.summary(is_comparison) + "\n"
 }
 
 /// What the checker says of a certificate that goes to `path`.
-pub(super) fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, Failure> {
-    said(&CertificateReport::new(path.display().to_string(), certificate))
+pub(super) fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
+    verdict_line(&CertificateReport::new(path.display().to_string(), certificate))
 }
 
 /// Says in a line what the checker accepted; a rejection is a failed gate.
-fn verdict_line(report: &CertificateReport<'_>) -> Result<String, Failure> {
+fn verdict_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
     match &report.accepted {
         Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),
-        Err(rejection) => Err(Failure::Gate(format!("{}: rejected: {rejection}", report.path))),
+        Err(rejection) => Err(CliError::Gate(format!("{}: rejected: {rejection}", report.path))),
     }
 }
 
-impl From<RateFolderError> for Failure {
+impl From<RateFolderError> for CliError {
     fn from(error: RateFolderError) -> Self {
         match error {
-            RateFolderError::Work(error) => error.into(),
+            RateFolderError::RunFolder(error) => error.into(),
             rejected @ RateFolderError::Rejected { .. } => Self::Gate(rejected.to_string()),
             other => Self::input(other),
         }

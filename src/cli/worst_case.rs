@@ -5,12 +5,12 @@ use std::fmt::Write;
 use clap::Args;
 use serde::Serialize;
 
-use super::artifacts::Finding;
-use super::{Failure, choice, subject};
+use super::artifacts::ArtifactArgs;
+use super::{CliError, value_enums, args};
 use crumple_core::observer::Quiet;
-use crumple_core::quoted::Terminal;
+use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, attack};
-use crumple_store::disk::Files;
+use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
@@ -41,7 +41,7 @@ pub(super) struct WorstCase {
     scenario: String,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings
     /// as in `acc-aeb,ttc_s=2.0`, the file of a policy, a network (F.onnx, F.zip of Stable-Baselines3) or a controller (F.toml), or a command after `exec:`
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// What the vehicles under test look through
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
@@ -59,33 +59,33 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
     #[command(flatten)]
-    finding: Finding,
+    finding: ArtifactArgs,
 }
 
 impl WorstCase {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        let scenario = args::scenario(&self.scenario)?;
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        let scenario = args::load_scenario(&self.scenario)?;
         let envelope = Envelope {
-            max_brake_mps2: self.max_brake.unwrap_or(Envelope::of(&scenario).max_brake_mps2),
+            max_brake_mps2: self.max_brake.unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
             jerk_mps3: self.jerk,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
         let result = attack(&scenario, &options, self.aim, envelope, self.budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
-                AttackError::Envelope { .. } if self.jerk > 0.0 => "--max-brake",
-                AttackError::Envelope { .. } => "--jerk",
-                AttackError::TooMany { .. } => "--budget",
+                AttackError::EmptyEnvelope { .. } if self.jerk > 0.0 => "--max-brake",
+                AttackError::EmptyEnvelope { .. } => "--jerk",
+                AttackError::TooManySimulations { .. } => "--budget",
                 _ => &self.scenario,
             };
-            Failure::Input(format!("{place}: {error}"))
+            CliError::Input(format!("{place}: {error}"))
         })?;
         self.controller.ensure_trusted()?;
-        let mut files = Files::default();
-        match &result.found {
+        let mut files = StagedFiles::default();
+        match &result.attack {
             Some(attack) => {
                 let replay = || Ok(simulate(&Run::new(&attack.scenario, options)?, RecordingLevel::Trace));
-                self.finding.write(&attack.scenario, &self.controller.name, &mut files, replay)?;
+                self.finding.stage(&attack.scenario, &self.controller.name, &mut files, replay)?;
             }
             None => self.finding.note_nothing_to_write("no collision was found, so there is nothing", quiet),
         }
@@ -94,7 +94,7 @@ impl WorstCase {
         let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
         let is_over_budget = report.evaluations > self.budget as usize;
         let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
-        self.finding.print(&WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
+        self.finding.print_report(&WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because }, describe)
     }
 }
 
@@ -122,7 +122,7 @@ fn describe(hunted: &WorstCaseReport) -> String {
 
 fn describe_report(report: &AttackReport) -> String {
     let AttackReport { scenario, controller, estimator, aim, .. } = report;
-    let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", Terminal(scenario), Terminal(controller));
+    let mut text = format!("{}: {}, estimator {estimator}, {aim}\n", TerminalText(scenario), TerminalText(controller));
     if report.nondeterministic {
         text += "  the controller says that it is not deterministic: another attack may end otherwise\n";
     }

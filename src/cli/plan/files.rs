@@ -4,12 +4,12 @@ use std::fs;
 
 use serde::Serialize;
 
-use super::Plan;
-use super::work::Wanted;
-use crate::cli::Failure;
+use super::PlanCommand;
+use super::work::PlannedWork;
+use crate::cli::CliError;
 use crumple_core::digits;
-use crumple_core::quoted::ShellWord;
-use crumple_store::disk::{self, Files};
+use crumple_core::quoting::ShellWord;
+use crumple_store::disk::{self, StagedFiles};
 use crumple_store::jobs::{Engine, Jobs, TASK_SCRIPT};
 
 /// The file `plan.json`.
@@ -17,7 +17,7 @@ use crumple_store::jobs::{Engine, Jobs, TASK_SCRIPT};
 pub(super) struct PlanSummary {
     pub(super) version: u32,
     #[serde(flatten)]
-    pub(super) wanted: Wanted,
+    pub(super) wanted: PlannedWork,
     pub(super) shards: u32,
     pub(super) cores_of_a_shard: u32,
     /// Runs, or evaluations of a search.
@@ -30,7 +30,7 @@ pub(super) struct PlanSummary {
     pub(super) command: Vec<String>,
 }
 
-impl Plan {
+impl PlanCommand {
     fn engines(&self) -> Vec<Engine> {
         match self.engine.is_empty() {
             true => Engine::ALL.to_vec(),
@@ -39,61 +39,61 @@ impl Plan {
     }
 
     /// The folder as commands name it: never one that looks like an option.
-    fn folder_argument(&self) -> Result<String, Failure> {
+    fn folder_argument(&self) -> Result<String, CliError> {
         let name = || format!("--out: {} is not text, and job files are", self.out.display());
-        let folder = self.out.to_str().ok_or_else(|| Failure::Input(name()))?;
+        let folder = self.out.to_str().ok_or_else(|| CliError::Input(name()))?;
         Ok(if folder.starts_with('-') { format!("./{folder}") } else { folder.to_owned() })
     }
 
     /// Whether nothing is there that would be written over, or mixed with.
-    pub(super) fn check_out_folder(&self) -> Result<(), Failure> {
+    pub(super) fn check_out_folder(&self) -> Result<(), CliError> {
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
             true => {
                 let problem = "is not empty: use --force to write a plan there all the same, or another --out";
-                Err(Failure::Input(format!("{}: {problem}", self.out.display())))
+                Err(CliError::Input(format!("{}: {problem}", self.out.display())))
             }
             false => Ok(()),
         }
     }
 
     /// Writes it.
-    pub(super) fn write(&self, planned: &PlanSummary, words: Vec<String>) -> Result<(), Failure> {
+    pub(super) fn write(&self, planned: &PlanSummary, words: Vec<String>) -> Result<(), CliError> {
         let jobs = Jobs {
-            words,
+            arguments: words,
             shards: planned.shards,
             cores: self.cores,
             // Machines differ, and what was interrupted should not be so again.
-            most_minutes: (planned.minutes_of_a_shard * 3.0).ceil() as u64 + 10,
-            folder: self.folder()?,
+            max_minutes: (planned.minutes_of_a_shard * 3.0).ceil() as u64 + 10,
+            folder: self.folder_argument()?,
         };
         disk::make_folder(&self.out)?;
-        let mut files = Files::default();
+        let mut files = StagedFiles::default();
         let mut stage = |name: &str, text: String| files.stage(&self.out.join(name), text);
-        stage("plan.json", serde_json::to_string_pretty(planned).map_err(Failure::input)? + "\n")?;
-        stage(TASK_SCRIPT, jobs.task())?;
+        stage("plan.json", serde_json::to_string_pretty(planned).map_err(CliError::input)? + "\n")?;
+        stage(TASK_SCRIPT, jobs.task_script())?;
         for engine in self.engines() {
-            let (name, text) = jobs.file(engine);
+            let (name, text) = jobs.engine_file(engine);
             stage(name, text)?;
         }
         Ok(files.commit()?)
     }
 
     /// What a reader is told.
-    pub(super) fn summary(&self, planned: &PlanSummary) -> Result<String, Failure> {
+    pub(super) fn summary(&self, planned: &PlanSummary) -> Result<String, CliError> {
         let PlanSummary { shards, cores_of_a_shard, .. } = planned;
-        let folder = self.folder()?;
+        let folder = self.folder_argument()?;
         let word = |rest: &str| ShellWord(&format!("{folder}/{rest}")).to_string();
         let (first, last, whole) = match &planned.wanted {
-            Wanted::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
+            PlannedWork::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
                 format!(
                     "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}",
-                    digits::up(*rate_at_most, 4)
+                    digits::format_rounded_up(*rate_at_most, 4)
                 ),
                 format!("  registered as {registration_sha256}\n"),
                 "rate",
             ),
-            Wanted::Search { method, budget, evaluations } => (
+            PlannedWork::Search { method, budget, evaluations } => (
                 format!("{evaluations} evaluations: {budget} by {method}, and as many by each reference search"),
                 match self.method.is_blind() {
                     true => String::new(),

@@ -8,16 +8,16 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::simulate::Format;
-use super::{Failure, choice, output, subject};
+use super::simulate::OutputFormat;
+use super::{CliError, value_enums, output, args};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Aim;
 use crumple_store::jobs::Engine;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::Space;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
-use files::Planned;
+use files::PlanSummary;
 
 /// Plan a count or a search on many machines: runs, shards, hours, bytes, and job files for HyperQueue, Ray and Slurm
 #[derive(Args)]
@@ -41,11 +41,11 @@ Examples:
   crumple plan --controller policy --space high-risk --budget 1000000 --out search")]
 pub(super) struct PlanCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or the file of one
-    #[arg(long, value_name = "C", value_parser = args::controller)]
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Space that runs are drawn from (see `crumple list spaces`), or a space file
-    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::space)]
-    space: (String, Space),
+    #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
+    space: (String, ScenarioSpace),
     /// What is to be shown: that it fails at a rate of at most this, above 0 and below 1
     #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
     rate_below: Option<f64>,
@@ -96,7 +96,7 @@ pub(super) struct PlanCommand {
     force: bool,
     /// How to print what is planned; json is what `plan.json` holds
     #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    format: OutputFormat,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -120,35 +120,35 @@ impl EngineName {
 }
 
 impl PlanCommand {
-    pub(super) fn run(self, quiet: bool) -> Result<(), Failure> {
-        self.is_free()?;
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        self.check_out_folder()?;
         let (wanted, command, measure) = match self.budget {
-            Some(budget) => self.search(budget, quiet)?,
-            None => self.rate(quiet)?,
+            Some(budget) => self.plan_search(budget, quiet)?,
+            None => self.plan_rate(quiet)?,
         };
-        let seconds = measure.runs as f64 / measure.pace;
+        let seconds = measure.runs as f64 / measure.runs_per_second;
         let each = seconds / f64::from(self.cores) / (60.0 * f64::from(self.minutes));
         let shards = match self.shards {
             // As many as minutes make; the quotient is clamped before it is a number of shards.
-            None => each.ceil().clamp(1.0, f64::from(measure.most_shards)) as u32,
+            None => each.ceil().clamp(1.0, f64::from(measure.max_shards)) as u32,
             Some(shards) => shards,
         };
-        let planned = Planned {
+        let planned = PlanSummary {
             version: 1,
             wanted,
             shards,
             cores_of_a_shard: self.cores,
-            runs_a_core_and_second: measure.pace,
+            runs_a_core_and_second: measure.runs_per_second,
             core_hours: seconds / 3600.0,
             minutes_of_a_shard: seconds / 60.0 / f64::from(shards) / f64::from(self.cores),
-            bytes_of_shards: (measure.bytes)(shards),
+            bytes_of_shards: (measure.bytes_of_shards)(shards),
             files_of_shards: u64::from(shards) * 4,
             command: std::iter::once("crumple".to_owned()).chain(command.clone()).collect(),
         };
-        self.write(&planned, command)?;
+        self.stage(&planned, command)?;
         let text = match self.format {
-            Format::Json => serde_json::to_string(&planned).map_err(Failure::input)? + "\n",
-            Format::Text => self.told(&planned)?,
+            OutputFormat::Json => serde_json::to_string(&planned).map_err(CliError::input)? + "\n",
+            OutputFormat::Text => self.summary(&planned)?,
         };
         output::print(&text)
     }

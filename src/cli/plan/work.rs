@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::Plan;
-use crate::cli::{Failure, output, subject};
-use crumple_evidence::{SampleSizeError, RateConfig, RatePlan, runs_for};
+use super::PlanCommand;
+use crate::cli::{CliError, output, args};
+use crumple_evidence::{SampleSizeError, RateConfig, RatePlan, required_runs};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::Campaign;
-use crumple_store::shard::Shard;
+use crumple_store::shard::ShardId;
 use crumple_world::control::is_external_allowed;
 
 /// What is planned, as it stands in `plan.json`.
@@ -48,25 +48,25 @@ const PACE_DURATION: Duration = Duration::from_secs(2);
 /// What keeps draws of the measurement apart from those that are counted.
 const PACE_SEED_MASK: u64 = 0x9e37_79b9_7f4a_7c15;
 
-impl Plan {
+impl PlanCommand {
     /// A count.
-    pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedWork, Vec<String>, Measure), Failure> {
+    pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
             (None, rate) => {
                 let named = |error| match error {
-                    SampleSizeError::Confidence { .. } => Failure::Input(format!("--{error}")),
-                    _ => Failure::Input(format!("--rate-below: {error}")),
+                    SampleSizeError::Confidence { .. } => CliError::Input(format!("--{error}")),
+                    _ => CliError::Input(format!("--rate-below: {error}")),
                 };
-                runs_for(rate.unwrap_or_default(), self.confidence, self.failures).map_err(named)?
+                required_runs(rate.unwrap_or_default(), self.confidence, self.failures).map_err(named)?
             }
         };
-        let plan = self.count(self.seed, runs)?;
+        let plan = self.rate_plan(self.seed, runs)?;
         if let Some(shards) = self.shards {
-            plan.shard_blocks(Shard::new(shards, shards).map_err(Failure::input)?).map_err(Failure::input)?;
+            plan.shard_blocks(ShardId::new(shards, shards).map_err(CliError::input)?).map_err(CliError::input)?;
         }
         output::note("measuring the pace", quiet);
-        let pace = self.count(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?.pace(PACE_DURATION).map_err(Failure::input)?;
+        let pace = self.rate_plan(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?.runs_per_second(PACE_DURATION).map_err(CliError::input)?;
         let wanted = PlannedWork::Rate {
             registration_sha256: plan.registration().digest(),
             runs,
@@ -74,45 +74,45 @@ impl Plan {
             rate_at_most: plan.record().rate_at_most(self.failures),
             failures: self.failures,
         };
-        let most_shards = plan.most_shards();
+        let most_shards = plan.max_shards();
         // Those in resamples are not counted, and take as long.
         let (resamples, runs_each) = plan.resampling().unwrap_or_default();
         let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
         let measure =
-            Measure { runs: runs_made, pace, most_shards, bytes: Box::new(move |shards| plan.estimated_bytes(shards)) };
-        Ok((wanted, self.command(runs), measure))
+            WorkEstimate { runs: runs_made, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: Box::new(move |shards| plan.estimated_bytes(shards)) };
+        Ok((wanted, self.rate_args(runs), measure))
     }
 
     /// A search.
-    pub(super) fn plan_search(&self, budget: u64, quiet: bool) -> Result<(PlannedWork, Vec<String>, Measure), Failure> {
+    pub(super) fn plan_search(&self, budget: u64, quiet: bool) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
         if self.seed > i64::MAX as u64 {
-            return Err(Failure::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
+            return Err(CliError::Input(format!("--seed: of a search at most {}, found {}", i64::MAX, self.seed)));
         }
         if self.controller.kind.identity().is_none() {
             let problem = "states no identity: nobody could tell whether shards of it go together";
-            return Err(Failure::Input(format!("the controller `{}` {problem}", self.controller.name)));
+            return Err(CliError::Input(format!("the controller `{}` {problem}", self.controller.name)));
         }
         let space = &self.space.1;
-        let nominal = space.scenario(&space.nominal()).map_err(Failure::input)?;
-        let specification = args::specification(&self.spec, &nominal, quiet)?;
+        let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
+        let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
         let campaign = Campaign {
             estimator: self.estimator,
             specification,
             method: self.method.clone(),
-            aim: self.aim,
+            objective: self.aim,
             budget,
             seed: self.seed,
             ..Campaign::new(self.controller.clone(), space.clone())
         };
         if let Some(shards) = self.shards {
-            let last = Shard::new(shards, shards).map_err(Failure::input)?;
-            last.range(budget, "evaluations of each method").map_err(Failure::input)?;
+            let last = ShardId::new(shards, shards).map_err(CliError::input)?;
+            last.range(budget, "evaluations of each method").map_err(CliError::input)?;
         }
         output::note("measuring the pace", quiet);
         let elsewhere = Campaign { seed: (self.seed ^ PACE_SEED_MASK) & i64::MAX as u64, ..campaign.clone() };
-        let pace = elsewhere.pace(PACE_DURATION)?;
+        let pace = elsewhere.evaluations_per_second(PACE_DURATION)?;
         let evaluations = budget.saturating_mul(campaign.methods().len() as u64);
-        let mut words = self.words(&["falsify"]);
+        let mut words = self.common_args(&["falsify"]);
         words.extend([
             format!("--method={}", self.method),
             format!("--aim={}", self.aim),
@@ -120,19 +120,19 @@ impl Plan {
             format!("--spec={}", self.spec),
         ]);
         let wanted = PlannedWork::Search { method: self.method.clone(), budget, evaluations };
-        let most_shards = campaign.most_shards();
+        let most_shards = campaign.max_shards();
         let bytes = Box::new(move |shards| campaign.estimated_bytes(shards));
-        Ok((wanted, words, Measure { runs: evaluations, pace, most_shards, bytes }))
+        Ok((wanted, words, WorkEstimate { runs: evaluations, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: bytes }))
     }
 
-    fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, Failure> {
+    fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, CliError> {
         RatePlan::new(RateConfig {
             seed,
             estimator: self.estimator,
             confidence: self.confidence,
             ..RateConfig::new(self.controller.clone(), self.space.1.clone(), runs)
         })
-        .map_err(Failure::input)
+        .map_err(CliError::input)
     }
 
     /// The words that every command has.
@@ -152,7 +152,7 @@ impl Plan {
 
     /// The words that make the whole of a count.
     fn rate_args(&self, runs: u64) -> Vec<String> {
-        let mut words = self.words(&["verify", "rate"]);
+        let mut words = self.common_args(&["verify", "rate"]);
         words.extend([format!("--runs={runs}"), format!("--confidence={}", self.confidence)]);
         words
     }
