@@ -67,7 +67,7 @@ pub use crumple_search::falsify::campaign::{
 };
 pub use crumple_search::falsify::{FailureCriterion, UnitCube, CustomMethod, InvalidMethodName, Method, SearchAlgorithm};
 pub use crumple_search::worst_case::{
-    AttackObjective as AttackAim, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
+    AttackObjective, Attack, AttackError, AttackResult, AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict,
     Envelope, attack, avoid,
 };
 pub use crumple_verify::{ProvedClaim, Certificate, Rejection, WorkLimit, check, check_with};

@@ -11,13 +11,13 @@
 
 use std::path::Path;
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple::world::control::ControllerSpec;
 use crumple::world::measure::Usefulness;
 use crumple::world::observation::EstimatorKind;
-use crumple::world::recording::{CAR_LENGTH_M, Platoon, load};
+use crumple::world::recording::{CAR_LENGTH_M, RecordedPlatoon, load};
 use crumple::world::scenario::{
-    Driver, Environment, LeadProfile, Recorded, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
+    Driver, Environment, LeadProfile, RecordedSpeeds, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
     VehicleSpec,
 };
 use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, Trace, simulate_batch};
@@ -41,8 +41,8 @@ struct ReplayTotals {
     squares: [f64; 2],
 }
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
-    measured(&ReplayArgs::by(arguments.iter().cloned())?)
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
+    print_measurements(&ReplayArgs::parse(arguments.iter().cloned())?)
 }
 
 /// What the arguments ask for.
@@ -52,7 +52,7 @@ struct ReplayArgs {
 }
 
 impl ReplayArgs {
-    fn parse(arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
+    fn parse(arguments: impl Iterator<Item = String>) -> Result<Self, ExperimentError> {
         let (recordings, names): (Vec<String>, Vec<String>) =
             arguments.partition(|argument| argument.ends_with(".csv"));
         if recordings.is_empty() {
@@ -68,34 +68,34 @@ impl ReplayArgs {
             let recording = load(Path::new(path), None)?;
             for platoon in &recording.platoons {
                 for leader in 0..platoon.vehicles().len() {
-                    scenarios.extend(behind(platoon, leader));
+                    scenarios.extend(scenarios_behind(platoon, leader));
                 }
             }
         }
         if scenarios.is_empty() {
-            let problem = format!("nobody leads for {SHORTEST_S} s without a break in {}", recordings.join(", "));
+            let problem = format!("nobody leads for {MIN_PIECE_S} s without a break in {}", recordings.join(", "));
             return Err(problem.into());
         }
         Ok(Self { scenarios, controllers })
     }
 }
 
-fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), Failure> {
+fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), ExperimentError> {
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
     );
     println!("|---|---|---|---|---|---|---|---|");
     for controller in controllers {
-        let (name, sums) = (&controller.name, driven(scenarios, controller)?);
+        let (name, sums) = (&controller.name, simulate_all(scenarios, controller)?);
         let n = sums.runs.max(1) as f64;
         println!(
             "| {name} | {} | {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} |",
-            sums.into_the_leader,
-            sums.from_behind,
-            sums.driven_m / sums.led_m,
+            sums.leader_contacts,
+            sums.rear_contacts,
+            sums.ego_distance_m / sums.leader_distance_m,
             60.0 * sums.false_brakes as f64 / sums.driven_s,
-            sums.imposed_mps2.iter().sum::<f64>() / sums.imposed_mps2.len().max(1) as f64,
+            sums.induced_braking_mps2.iter().sum::<f64>() / sums.induced_braking_mps2.len().max(1) as f64,
             (sums.squares[0] / n).sqrt(),
             (sums.squares[1] / n).sqrt(),
         );
@@ -104,7 +104,7 @@ fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Res
 }
 
 /// Scenarios behind one recorded vehicle.
-fn scenarios_behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
+fn scenarios_behind(platoon: &RecordedPlatoon, leader: usize) -> Vec<Scenario> {
     let speeds = platoon.vehicles()[leader].speed_mps();
     let follower = (leader + 1 < platoon.vehicles().len()).then_some(leader + 1);
     let known: Vec<usize> = (0..speeds.len()).filter(|&sample| speeds[sample].is_some()).collect();
@@ -121,11 +121,11 @@ fn scenarios_behind(platoon: &Platoon, leader: usize) -> Vec<Scenario> {
             _ => pieces.push(vec![sample]),
         }
     }
-    pieces.iter().filter_map(|piece| scenario(platoon, leader, follower, piece)).collect()
+    pieces.iter().filter_map(|piece| scenario_from_piece(platoon, leader, follower, piece)).collect()
 }
 
 /// None for a piece that is too short, or whose start is none that a scenario may have.
-fn scenario_from_piece(platoon: &Platoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
+fn scenario_from_piece(platoon: &RecordedPlatoon, leader: usize, follower: Option<usize>, piece: &[usize]) -> Option<Scenario> {
     let (&first, &last) = (piece.first()?, piece.last()?);
     let start_s = platoon.time_s()[first];
     let duration_s = platoon.time_s()[last] - start_s;
@@ -147,8 +147,8 @@ fn scenario_from_piece(platoon: &Platoon, leader: usize, follower: Option<usize>
     let [ego_mps, gap_m] = behind.unwrap_or([speed_mps[0], 2.0 + 1.5 * speed_mps[0]]).map(milli);
     let ego_m = milli(CAR_LENGTH_M + 2.0 + 1.2 * ego_mps);
     let leader_m = milli(ego_m + CAR_LENGTH_M + gap_m);
-    let leads = LeadProfile::Recorded(Recorded { time_s, speed_mps: speed_mps.clone() });
-    let acc_aeb = Driver::Controller(ControllerSpec::named("acc-aeb")?);
+    let leads = LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps: speed_mps.clone() });
+    let acc_aeb = Driver::Controller(ControllerSpec::from_name("acc-aeb")?);
     let vehicle = |position_m, speed_mps, driver| VehicleSpec {
         length_m: Some(CAR_LENGTH_M),
         ..VehicleSpec::new(VehicleClass::Light, position_m, speed_mps, driver)
@@ -176,29 +176,29 @@ fn scenario_from_piece(platoon: &Platoon, leader: usize, follower: Option<usize>
     Scenario::new(spec).inspect_err(|error| eprintln!("left out: vehicle {leader}, sample {first}: {error}")).ok()
 }
 
-fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<ReplayTotals, Failure> {
+fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<ReplayTotals, ExperimentError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
     let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
         let trace = result.trace.as_ref();
         let useful = trace.and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
-        (result.outcome.contact().copied(), useful, trace.map(DriveSummary::of))
+        (result.outcome.contact().copied(), useful, trace.map(DriveSummary::new))
     });
     let mut sums = ReplayTotals::default();
     for (contact, useful, ridden) in results {
         sums.runs += 1;
         let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
-        sums.into_the_leader += u64::from(into_the_leader);
-        sums.from_behind += u64::from(contact.is_some() && !into_the_leader);
-        let Some(DriveSummary { driven_m, led_m, false_brakes, driven_s }) = ridden else { continue };
-        sums.driven_m += driven_m;
-        sums.led_m += led_m;
+        sums.leader_contacts += u64::from(into_the_leader);
+        sums.rear_contacts += u64::from(contact.is_some() && !into_the_leader);
+        let Some(DriveSummary { ego_distance_m: driven_m, leader_distance_m: led_m, false_brakes, driven_s }) = ridden else { continue };
+        sums.ego_distance_m += driven_m;
+        sums.leader_distance_m += led_m;
         sums.false_brakes += false_brakes;
         sums.driven_s += driven_s;
         let Some(useful) = useful else { continue };
         sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
         sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-        sums.imposed_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
+        sums.induced_braking_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
     }
     Ok(sums)
 }
@@ -233,8 +233,8 @@ impl DriveSummary {
             was_false = now;
         }
         Self {
-            driven_m: travelled(&ego.position_m),
-            led_m: travelled(&leader.position_m),
+            ego_distance_m: travelled(&ego.position_m),
+            leader_distance_m: travelled(&leader.position_m),
             false_brakes,
             driven_s: trace.time_s.last().copied().unwrap_or(0.0),
         }

@@ -15,7 +15,7 @@
 
 use std::path::Path;
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple::report::draw::{Anchor, Axis, BOTTOM_MARGIN, Frame, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, Svg};
 use crumple::world::measure::{UnnecessaryBraking, Usefulness};
 use crumple::world::observation::EstimatorKind;
@@ -49,8 +49,8 @@ struct SpaceTotals {
 const EMERGENCY_SPACE: &str = "high-risk";
 const TRAFFIC_SPACE: &str = "traffic";
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
-    measured(&SpaceComparisonArgs::by(arguments.iter().cloned())?)
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
+    print_measurements(&SpaceComparisonArgs::parse(arguments.iter().cloned())?)
 }
 
 /// A mark of the figure, and a line of a table of them.
@@ -62,7 +62,7 @@ struct ParetoPoint {
     /// Of draws of `high-risk`.
     contacts_percent: f64,
     /// Whether it is no rule, but was trained.
-    #[serde(skip, default = "yes")]
+    #[serde(skip, default = "default_true")]
     is_trained: bool,
 }
 
@@ -86,11 +86,11 @@ struct SpaceComparisonArgs {
 }
 
 impl SpaceComparisonArgs {
-    fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Self, Failure> {
+    fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Self, ExperimentError> {
         let draws = arguments.next().ok_or("how many draws?")?;
         let draws = match draws.parse() {
-            Ok(count) if (1..=MOST_DRAWS).contains(&count) => count,
-            _ => return Err(format!("`{draws}` is no number of draws from 1 to {MOST_DRAWS}").into()),
+            Ok(count) if (1..=MAX_DRAWS).contains(&count) => count,
+            _ => return Err(format!("`{draws}` is no number of draws from 1 to {MAX_DRAWS}").into()),
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
         let mut measured_before = Vec::new();
@@ -116,7 +116,7 @@ impl SpaceComparisonArgs {
             spaces.extend(BUILT_IN_SPACES.iter().map(|(name, ..)| *name));
         }
         if let Some(missing) =
-            [EMERGENCY_SPACE, TRAFFIC].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
+            [EMERGENCY_SPACE, TRAFFIC_SPACE].iter().find(|space| !figures.is_empty() && !spaces.contains(space))
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
@@ -124,7 +124,7 @@ impl SpaceComparisonArgs {
     }
 }
 
-fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs) -> Result<(), Failure> {
+fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs) -> Result<(), ExperimentError> {
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms a | rms jerk | progress | time gap s | imposed |"
     );
@@ -139,23 +139,23 @@ fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measure
     for &space in spaces {
         for (controller, mark) in controllers.iter().zip(&mut front) {
             let (name, draws) = (&controller.name, *draws);
-            let sums = driven(space, controller, draws)?;
+            let sums = simulate_draws(space, controller, draws)?;
             let n = draws as f64;
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
             println!(
                 "| {space} | {name} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | {:.2} |",
                 sums.contacts,
-                sums.into_the_leader,
+                sums.leader_contacts,
                 sums.hard,
-                sums.needless,
+                sums.unnecessary,
                 sums.beyond_firm,
                 sums.firm,
                 sums.left_behind,
                 (sums.squares[0] / n).sqrt(),
                 mean(&sums.progress),
                 mean(&sums.time_gap_s),
-                mean(&sums.imposed_mps2),
+                mean(&sums.induced_braking_mps2),
             );
             match space {
                 EMERGENCY_SPACE => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
@@ -166,7 +166,7 @@ fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measure
     }
     front.extend(measured_before.iter().cloned());
     for file in figures {
-        std::fs::write(file, drawn(&front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
+        std::fs::write(file, draw_front(&front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
@@ -175,21 +175,21 @@ fn print_measurements(SpaceComparisonArgs { draws, controllers, figures, measure
 fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     let frame = Frame { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
     let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
-    let x = Axis::numbers("m/s³", (0.0, 1.1 * most), 8);
+    let x = Axis::numeric("m/s³", (0.0, 1.1 * most), 8);
     let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
     let top = front.iter().map(|mark| (mark.contacts_percent / 10.0).ceil() * 10.0).fold(10.0, f64::max);
-    let mut panel = Panel::new(frame, title, x, Axis::numbers("", (0.0, top), 6));
+    let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, top), 6));
     let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / top);
     for (index, mark) in front.iter().enumerate() {
-        let at = mark.at();
-        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.at());
+        let at = mark.position();
+        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.position());
         let nearest = others.min_by(|a, b| apart(a, &at).total_cmp(&apart(b, &at)));
         let marker = if mark.is_trained { Marker::Ring } else { Marker::Cross };
-        panel.marks(&[at], marker, Ink::Series(usize::from(mark.is_trained)));
+        panel.add_markers(&[at], marker, Ink::Series(usize::from(mark.is_trained)));
         // The name is on the other side of its mark than the nearest mark.
         let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
         let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };
-        panel.note((at.0 + side * most, at.1), anchor, &mark.name, Ink::Muted);
+        panel.add_note((at.0 + side * most, at.1), anchor, &mark.name, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));
     let description = format!("{draws} draws of each space. Rings are policies of the preset road and its variants.");
@@ -204,7 +204,7 @@ struct FirmBraking {
     is_present: bool,
 }
 
-fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Result<SpaceTotals, Failure> {
+fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Result<SpaceTotals, ExperimentError> {
     let space = built_in_space(space).ok_or("no such space")?;
     let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
     let mut sums = SpaceTotals::default();
@@ -215,23 +215,23 @@ fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Resu
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             let useful = result.trace.as_ref().and_then(|trace| Usefulness::of(trace, &result.impacts, 1));
             let firm = result.trace.as_ref().map(|trace| FirmBraking {
-                is_beyond: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
-                    .is_some_and(|beyond| !beyond.is_none()),
-                is_there: trace.vehicles[1].acceleration_mps2.iter().any(|&mps2| mps2 < -FIRM_BRAKE_MPS2),
+                is_unnecessary: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
+                    .is_some_and(|beyond| !beyond.is_empty()),
+                is_present: trace.vehicles[1].acceleration_mps2.iter().any(|&mps2| mps2 < -FIRM_BRAKE_MPS2),
             });
             (result.outcome.contact().copied(), useful, firm)
         });
         for (contact, useful, firm) in results {
-            sums.beyond_firm += u64::from(firm.as_ref().is_some_and(|firm| firm.is_beyond));
-            sums.firm += u64::from(firm.is_some_and(|firm| firm.is_there));
+            sums.beyond_firm += u64::from(firm.as_ref().is_some_and(|firm| firm.is_unnecessary));
+            sums.firm += u64::from(firm.is_some_and(|firm| firm.is_present));
             sums.contacts += u64::from(contact.is_some());
-            sums.into_the_leader += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
+            sums.leader_contacts += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
             let Some(useful) = useful else { continue };
             sums.hard += u64::from(!useful.hard.is_none());
-            sums.needless += u64::from(!useful.needless.is_none());
+            sums.unnecessary += u64::from(!useful.needless.is_none());
             sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
             sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            sums.imposed_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
+            sums.induced_braking_mps2.extend(useful.imposed.and_then(|imposed| imposed.peak_brake_mps2));
             let Some(following) = useful.following else { continue };
             sums.left_behind += u64::from(following.left_behind);
             sums.progress.extend(following.progress);

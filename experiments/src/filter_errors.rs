@@ -8,18 +8,18 @@
 //! Noise alone, in steady state before a measurement: what another vehicle's braking adds while the filter follows is left out. Speeds and
 //! accelerations of others are the own one's and what the filter of the gap says; the noise of the two is independent.
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple_world::estimate::EgoTuning;
-use crumple_world::scenario::built_in;
+use crumple_world::scenario::built_in_scenario;
 
 /// As for the shield.
 const DEVIATIONS: f64 = 6.0;
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let mut arguments = arguments.iter();
     let name = arguments.next().ok_or("name a built-in scenario, and perhaps a factor")?;
     let factor: f64 = arguments.next().map_or(Ok(1.0), |text| text.parse())?;
-    let scenario = built_in(name).ok_or_else(|| format!("{name}: no built-in scenario"))?;
+    let scenario = built_in_scenario(name).ok_or_else(|| format!("{name}: no built-in scenario"))?;
     let tuning = EgoTuning::new(scenario.spec().step_s, &scenario.spec().sensors);
     let [_, own_mps, own_mps2] = tuning.position().steady_deviations();
     let [gap_m, rate_mps, rate_mps2] = tuning.gap().steady_deviations();

@@ -9,8 +9,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::Failure;
-use crumple_report::figures::{StatedConvergence, learning_curve_beside};
+use crate::ExperimentError;
+use crumple_report::figures::{StatedConvergence, draw_learning_curve_with_reference};
 use crumple_world::policy::{LearningCurve, COLLISION_FREE_REWARD};
 
 /// A line of the table; what else it says is not drawn.
@@ -25,7 +25,7 @@ struct EvaluationRow {
 /// Section "DDPG training result".
 const PAPER_CONVERGENCE: StatedConvergence<'static> = StatedConvergence { source: "the paper", reward: COLLISION_FREE_REWARD, from_episode: 400 };
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let [table, configuration, picture] = arguments else {
         return Err(format!("{} arguments, and there must be three", arguments.len()).into());
     };
@@ -41,7 +41,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
         return Err(format!("{table} has no evaluations of `{configuration}`").into());
     }
     let curves: Vec<_> = seeds.into_values().collect();
-    let figure = learning_curve_beside(&LearningCurve::from_evaluations(configuration, &curves), Some(&PAPER));
+    let figure = draw_learning_curve_with_reference(&LearningCurve::from_evaluations(configuration, &curves), Some(&PAPER_CONVERGENCE));
     std::fs::write(picture, figure.document()).map_err(|error| format!("{picture}: {error}"))?;
     Ok(())
 }

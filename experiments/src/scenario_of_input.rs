@@ -6,10 +6,10 @@
 //!
 //! `CRUMPLE_CONTROLLER` is what it was for the fuzzer: `baseline` if it is not set, `any` for the input's own choice.
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple_fuzzing::CollisionSearch;
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let path = arguments.first().ok_or("name the input, a file under fuzz/artifacts or fuzz/corpus")?;
     let bytes = std::fs::read(path).map_err(|error| format!("{path}: {error}"))?;
     let controller = std::env::var("CRUMPLE_CONTROLLER").unwrap_or_else(|_| "baseline".to_owned());

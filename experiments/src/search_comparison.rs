@@ -10,7 +10,7 @@
 
 use std::path::Path;
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple::world::scenario::space::built_in_space;
 use crumple::world::sim::NamedController;
 use crumple::{Campaign, CampaignOptions, Method, Quiet, Summary};
@@ -61,7 +61,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let mut arguments = arguments.iter();
     let budget: u64 = arguments.next().ok_or("how many evaluations?")?.parse()?;
     let seeds: u64 = arguments.next().ok_or("how many seeds?")?.parse()?;
@@ -76,11 +76,11 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
         for seed in 0..seeds {
             // Both campaigns bring `uniform` and `halton` along, as reference searches.
             let [with_auto, with_cma_es] =
-                [Method::Auto, Method::CmaEs].map(|method| search(space, controller, method, budget, seed));
+                [Method::Auto, Method::CmaEs].map(|method| run_campaign(space, controller, method, budget, seed));
             let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
             for (method, found) in METHODS.iter().zip(&mut found) {
                 let summary = if *method == Method::CmaEs { &with_cma_es } else { &with_auto };
-                let reached = reached(summary, method, budget).ok_or("a method that was not run")?;
+                let reached = method_measures(summary, method, budget).ok_or("a method that was not run")?;
                 found.iter_mut().zip(reached).for_each(|(all, one)| all.push(one));
             }
         }
@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, Failure> {
+fn run_campaign(space: &str, controller: &str, method: Method, budget: u64, seed: u64) -> Result<Summary, ExperimentError> {
     let campaign = Campaign {
         method,
         budget,

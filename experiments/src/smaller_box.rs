@@ -6,11 +6,11 @@
 
 use std::path::Path;
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple_evidence::BoxSpec;
 use crumple_verify::Interval;
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let mut arguments = arguments.iter();
     let path = arguments.next().ok_or("name the file of a box, and a share")?;
     let share: f64 = arguments.next().ok_or("name a share besides")?.parse()?;

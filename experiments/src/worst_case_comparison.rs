@@ -2,13 +2,13 @@
 //!
 //! `cargo run --release -p crumple-experiments -- worst_case_comparison`: the tables of reports/worst-case.md.
 
-use crate::Failure;
+use crate::ExperimentError;
 use crumple_core::observer::Quiet;
 use crumple_search::falsify::{UnitCube, Method};
 use crumple_search::worst_case::{Aim, Envelope, attack};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, Pieces, Scenario, built_in};
+use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -22,7 +22,7 @@ const BUDGET: usize = 3000;
 /// As many knots as the sequential program has.
 const KNOTS: usize = 26;
 
-pub(crate) fn run(_: &[String]) -> Result<(), Failure> {
+pub(crate) fn run(_: &[String]) -> Result<(), ExperimentError> {
     compare_with_samples();
     compare_with_searches();
     Ok(())
@@ -35,18 +35,18 @@ fn compare_with_samples() {
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     for name in ["paper-1", "paper-2"] {
-        let scenario = built_in(name).expect("built in");
+        let scenario = built_in_scenario(name).expect("built in");
         let options = options("baseline", EstimatorKind::Truth);
-        let envelope = Envelope::of(&scenario);
-        let mildest = attack(&scenario, &options, Aim::Mildest, envelope, 0, &Quiet).expect("a scripted leader").found;
+        let envelope = Envelope::from_scenario(&scenario);
+        let mildest = attack(&scenario, &options, Aim::Mildest, envelope, 0, &Quiet).expect("a scripted leader").attack;
         let mildest = mildest.expect("the baseline collides");
         for (family, is_scaled) in [("uniform", false), ("scaled", true)] {
             let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
             let (mut collided, mut least) = (0, f64::INFINITY);
             for _ in 0..SAMPLES / BATCH {
                 let profiles: Vec<_> =
-                    (0..BATCH).map(|_| sample(&scenario, envelope, is_scaled, &mut random)).collect();
-                for (profile, (outcome, _)) in profiles.iter().zip(simulated(&scenario, &options, &profiles)) {
+                    (0..BATCH).map(|_| random_profile(&scenario, envelope, is_scaled, &mut random)).collect();
+                for (profile, (outcome, _)) in profiles.iter().zip(simulate_profiles(&scenario, &options, &profiles)) {
                     if outcome != Outcome::NoCollision {
                         collided += 1;
                         least = effort_m2ps3(profile).min(least);
@@ -74,7 +74,7 @@ fn random_profile(scenario: &Scenario, envelope: Envelope, is_scaled: bool, rand
         let piece = borders_s.partition_point(|border_s| *border_s <= cell as f64 * CELL_S);
         targets.get(piece).copied().unwrap_or(0.0)
     };
-    limit_jerk((0..cells(scenario)).map(wanted), envelope)
+    limit_jerk((0..cell_count(scenario)).map(wanted), envelope)
 }
 
 /// Part 2: the sequential program against `policy`, and the mildest collision each search finds with as many simulations.
@@ -87,14 +87,14 @@ fn compare_with_searches() {
     for name in ["paper-1", "paper-2"] {
         for seed in 0..SEEDS {
             let scenario =
-                built_in(name).expect("built in").edited(|spec| spec.seed = seed).expect("any seed is valid");
+                built_in_scenario(name).expect("built in").edited(|spec| spec.seed = seed).expect("any seed is valid");
             let options = options("policy", EstimatorKind::Kalman);
-            let envelope = Envelope::of(&scenario);
+            let envelope = Envelope::from_scenario(&scenario);
             let hunted =
                 attack(&scenario, &options, Aim::Mildest, envelope, BUDGET, &Quiet).expect("a scripted leader");
-            let own = hunted.found.map_or(f64::INFINITY, |found| found.effort_m2ps3);
+            let own = hunted.attack.map_or(f64::INFINITY, |found| found.effort_m2ps3);
             let plain = UnitCube::new([KNOTS]).expect("not empty");
-            let told = plain.clone().with_leader(0..KNOTS);
+            let told = plain.clone().with_leader_coordinates(0..KNOTS);
             let least = |method: &Method, cube: &UnitCube, times: usize| {
                 let budget = times * hunted.evaluations;
                 let least = mildest_of_search(method, cube, seed, &scenario, &options, envelope, budget);
@@ -131,7 +131,7 @@ fn mildest_of_search(
     while spent < budget {
         let points = search.ask();
         let asked: Vec<_> =
-            points.iter().take(budget - spent).map(|point| profile(point, scenario, envelope)).collect();
+            points.iter().take(budget - spent).map(|point| profile_from_point(point, scenario, envelope)).collect();
         spent += asked.len();
         let robustness = |(profile, (outcome, gap_m)): (&Vec<f64>, (Outcome, f64))| match outcome {
             Outcome::NoCollision => gap_m.max(0.0),
@@ -140,7 +140,7 @@ fn mildest_of_search(
                 -1000.0 / (1.0 + effort_m2ps3(profile))
             }
         };
-        let results = simulated(scenario, options, &asked);
+        let results = simulate_profiles(scenario, options, &asked);
         let values: Vec<f64> = asked.iter().zip(results).map(robustness).collect();
         search.tell(&values);
     }
@@ -148,7 +148,7 @@ fn mildest_of_search(
 }
 
 fn profile_from_point(point: &[f64], scenario: &Scenario, envelope: Envelope) -> Vec<f64> {
-    let cells = cells(scenario);
+    let cells = cell_count(scenario);
     let knot = |index: usize| point.get(index.min(point.len() - 1)).copied().unwrap_or(0.0);
     let wanted = |cell: usize| {
         let place = (cell as f64 + 0.5) * (KNOTS - 1) as f64 / cells as f64;
@@ -169,7 +169,7 @@ fn limit_jerk(wanted: impl Iterator<Item = f64>, envelope: Envelope) -> Vec<f64>
 }
 
 fn options(controller: &str, estimator: EstimatorKind) -> RunOptions {
-    let controller = ControllerSpec::named(controller).expect("built in");
+    let controller = ControllerSpec::from_name(controller).expect("built in");
     RunOptions::new(controller).with_estimator(estimator)
 }
 
@@ -185,7 +185,7 @@ fn effort_m2ps3(profile: &[f64]) -> f64 {
 fn simulate_profiles(scenario: &Scenario, options: &RunOptions, profiles: &[Vec<f64>]) -> Vec<(Outcome, f64)> {
     let scripted = |profile: &Vec<f64>| {
         let from_s = (0..profile.len()).map(|cell| cell as f64 * CELL_S).collect();
-        let script = LeadProfile::Pieces(Pieces { from_s, accel_mps2: profile.clone() });
+        let script = LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2: profile.clone() });
         scenario.edited(|spec| spec.vehicles[0].driver = Driver::Profile(script)).expect("within the envelope")
     };
     let scenarios: Vec<_> = profiles.iter().map(scripted).collect();

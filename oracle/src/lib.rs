@@ -197,9 +197,9 @@ impl ReferenceLearner {
         self.updates += 1;
         if self.updates.is_multiple_of(u64::from(self.td3.actor_every)) {
             self.actor.optimiser.backward_step(&self.actor_loss(&rows)?)?;
-            let share = f64::from(self.learning.soft_update);
-            for pair in self.pairs() {
-                pair.target.follow(&pair.network, share)?;
+            let share = f64::from(self.learning.tau);
+            for pair in self.trained_networks() {
+                pair.target.polyak_update(&pair.network, share)?;
             }
         }
         Ok(losses)
@@ -214,7 +214,7 @@ impl ReferenceLearner {
         let td_targets = self.td_targets(&rows, noise)?;
         let of = |network: &Mlp, loss: Tensor| {
             let found = loss.backward()?;
-            network.flat(|var| match found.get(var) {
+            network.flatten(|var| match found.get(var) {
                 Some(gradient) => Ok(gradient.clone()),
                 None => var.zeros_like(),
             })
@@ -229,8 +229,8 @@ impl ReferenceLearner {
     /// # Errors
     /// candle's, in principle.
     pub fn parameters(&self) -> Result<Vec<Vec<f32>>> {
-        let networks = self.pairs().flat_map(|pair| [&pair.network, &pair.target]);
-        networks.map(|network| network.flat(|var| Ok(var.as_tensor().clone()))).collect()
+        let networks = self.trained_networks().flat_map(|pair| [&pair.network, &pair.target]);
+        networks.map(|network| network.flatten(|var| Ok(var.as_tensor().clone()))).collect()
     }
 
     fn trained_networks(&self) -> impl Iterator<Item = &NetworkWithTarget> {

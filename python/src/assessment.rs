@@ -3,34 +3,34 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-use crumple_core::observer::Progress;
-use crumple_report::assessment::{self as report, AssessConfig, AssessmentPlan, ConfigError, Earlier, Store};
+use crumple_core::observer::RunProgress;
+use crumple_report::assessment::{self as report, AssessConfig, AssessmentPlan, AssessConfigError, EarlierAssessment, EvidenceCache};
 use crumple_store::program;
 use crumple_world::scenario::file;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use crate::controller;
-use crate::errors::{self, Class};
-use crate::values::written;
-use crate::interruptible::{Stop, watched};
+use crate::errors::{self, ExceptionClass};
+use crate::values::serialize_to_python;
+use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Everything that an assessment found out.
 #[pyclass(frozen, module = "crumple")]
-pub(crate) struct PyAssessment(report::Assessment);
+pub(crate) struct PyAssessment(report::PyAssessment);
 
 #[pymethods]
 impl PyAssessment {
     /// What `assessment.json` says.
     #[getter]
     fn evidence<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, &self.0)
+        serialize_to_python(py, &self.0)
     }
 
     /// The gates of the configuration: what must hold, whether it does, and why.
     #[getter]
     fn gates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, &self.0.summary.gates)
+        serialize_to_python(py, &self.0.summary.gates)
     }
 
     /// Whether every gate holds.
@@ -51,7 +51,7 @@ impl PyAssessment {
 
     /// Every file of the report by its path in the report's folder.
     fn files<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let files = self.0.files().map_err(|error| errors::raised(py, Class::Assessment, &error))?;
+        let files = self.0.files().map_err(|error| errors::exception(py, ExceptionClass::Assessment, &error))?;
         let dict = PyDict::new(py);
         for (name, contents) in files {
             dict.set_item(name, PyBytes::new(py, &contents))?;
@@ -89,33 +89,33 @@ pub(crate) fn assess(
     fresh: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<PyAssessment> {
-    let stop = Stop::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Assessment, &error.to_string());
-    let own = controllers.iter().map(|one| controller::named(one, &stop)).collect::<PyResult<Vec<_>>>()?;
+    let stop = StopFlag::default();
+    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Assessment, &error.to_string());
+    let own = controllers.iter().map(|one| controller::resolve_controller(one, &stop)).collect::<PyResult<Vec<_>>>()?;
     let plan = match (&path, &toml, &json) {
         (None, None, None) if own.is_empty() => AssessmentPlan::built_in(),
         (Some(path), ..) if own.is_empty() => {
             AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?
         }
         _ => {
-            let (config, folder) = configuration(py, path.as_deref(), toml, json)?;
+            let (config, folder) = read_config(py, path.as_deref(), toml, json)?;
             AssessmentPlan::new(config, own, &folder).map_err(|error| config_exception(py, &error))?
         }
     };
-    let against = against.as_deref().map(Earlier::load).transpose().map_err(|error| wrong(&error))?;
+    let against = against.as_deref().map(EarlierAssessment::load).transpose().map_err(|error| wrong(&error))?;
     if against.is_none() && plan.needs_earlier_assessment() {
         return Err(wrong(&"the gate `nothing-worse` needs an earlier assessment: against"));
     }
     let store = match evidence {
-        None => Store::none(),
+        None => EvidenceCache::disabled(),
         Some(folder) => {
             let identity = program::identity().map_err(|error| wrong(&error))?;
-            Store::open(&folder, identity, fresh).map_err(|error| wrong(&error))?
+            EvidenceCache::open(&folder, identity, fresh).map_err(|error| wrong(&error))?
         }
     };
     let runs = plan.runs();
-    let assessment = watched(py, &stop, progress.as_ref(), |say| {
-        report::assess(&plan, &store, against.as_ref(), &|state: &Progress| say((state.done, runs, 0)))
+    let assessment = run_interruptible(py, &stop, progress.as_ref(), |say| {
+        report::assess(&plan, &store, against.as_ref(), &|state: &RunProgress| say((state.done, runs, 0)))
     })?;
     Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
 }
@@ -128,7 +128,7 @@ fn read_config(
     json: Option<String>,
 ) -> PyResult<(AssessConfig, Cow<'static, Path>)> {
     let here = Cow::Borrowed(Path::new(""));
-    let of_file = |error| errors::of_file(py, Class::Assessment, &error);
+    let of_file = |error| errors::file_exception(py, ExceptionClass::Assessment, &error);
     if let Some(path) = path {
         let text = file::read(path).map_err(of_file)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
@@ -141,12 +141,12 @@ fn read_config(
     Ok((file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?, here))
 }
 
-fn config_exception(py: Python<'_>, error: &ConfigError) -> PyErr {
+fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
     match error {
-        ConfigError::File(error) => errors::of_file(py, Class::Assessment, error),
-        ConfigError::Field { path, line, field, .. } => {
-            errors::exception_at(py, Class::Assessment, error, (path, *line, field))
+        AssessConfigError::File(error) => errors::file_exception(py, ExceptionClass::Assessment, error),
+        AssessConfigError::Field { path, line, field, .. } => {
+            errors::exception_at(py, ExceptionClass::Assessment, error, (path, *line, field))
         }
-        other => errors::raised(py, Class::Assessment, other),
+        other => errors::exception(py, ExceptionClass::Assessment, other),
     }
 }

@@ -3,16 +3,16 @@
 use std::path::PathBuf;
 
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::{FailureCriterion, Relation};
+use crumple_search::falsify::{FailureCriterion, MetamorphicRelation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
 use crate::controller;
-use crate::errors::{self, Class};
-use crate::scenario::Space;
+use crate::errors::{self, ExceptionClass};
+use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
-use crate::values::{choice, written};
-use crate::interruptible::{Stop, watched};
+use crate::values::{parse_choice, serialize_to_python};
+use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Searches a space for failures of a controller; the campaign's summary, and the same as text.
 #[pyfunction]
@@ -20,7 +20,7 @@ use crate::interruptible::{Stop, watched};
 pub(crate) fn falsify<'py>(
     py: Python<'py>,
     controller: &Bound<'py, PyAny>,
-    space: PyRef<'py, Space>,
+    space: PyRef<'py, PySpace>,
     spec: &str,
     beside: (Option<Bound<'py, PyAny>>, Option<String>),
     method: &str,
@@ -32,34 +32,34 @@ pub(crate) fn falsify<'py>(
     resume: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
-    let stop = Stop::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Campaign, &error.to_string());
+    let stop = StopFlag::default();
+    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Campaign, &error.to_string());
     let space = space.0.clone();
-    let nominal = space.scenario(&space.nominal()).map_err(|error| errors::of_field(py, &error))?;
+    let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
     let contrast = match beside {
         (None, None) => None,
-        (Some(other), None) => Some(FailureCriterion::Against(controller::named(&other, &stop)?)),
+        (Some(other), None) => Some(FailureCriterion::Differential(controller::resolve_controller(&other, &stop)?)),
         (None, Some(relation)) => {
-            Some(FailureCriterion::Metamorphic(relation.parse::<Relation>().map_err(|error| wrong(&error))?))
+            Some(FailureCriterion::Metamorphic(relation.parse::<MetamorphicRelation>().map_err(|error| wrong(&error))?))
         }
         (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
     };
     let campaign = Campaign {
-        contrast,
-        controller: controller::named(controller, &stop)?,
-        estimator: choice("estimator", estimator, &ESTIMATORS)?,
+        failure_criterion: contrast,
+        controller: controller::resolve_controller(controller, &stop)?,
+        estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         space,
         specification: Specification::parse(spec, &nominal).map_err(|error| wrong(&format!("spec: {error}")))?,
         method: method.parse().map_err(|error| wrong(&error))?,
-        aim: aim.parse().map_err(|error| wrong(&error))?,
+        objective: aim.parse().map_err(|error| wrong(&error))?,
         budget,
         seed,
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
-    let summary = watched(py, &stop, progress.as_ref(), |say| {
+    let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let options = CampaignOptions { resume, ..CampaignOptions::default() };
         campaign.run(&folder, options, &|state: &CampaignProgress| say((state.evaluations, total, state.failures)))
     })?;
     let summary = summary.map_err(|error| wrong(&error))?;
-    Ok((written(py, &summary)?, summary.to_text()))
+    Ok((serialize_to_python(py, &summary)?, summary.to_text()))
 }

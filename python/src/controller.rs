@@ -10,8 +10,8 @@ use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::errors::{self, Class};
-use crate::interruptible::Stop;
+use crate::errors::{self, ExceptionClass};
+use crate::interruptible::StopFlag;
 
 /// Most characters of a traceback that a failure carries: its end.
 const MAX_TRACEBACK_CHARS: usize = 4000;
@@ -80,11 +80,11 @@ pub(crate) fn allow_external() {
 }
 
 /// A name as on the command line, or a `crumple.Controller`.
-pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<NamedController> {
+pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag) -> PyResult<NamedController> {
     let py = controller.py();
     if let Ok(name) = controller.extract::<String>() {
         return NamedController::find_for_user(&name, Path::new(""))
-            .map_err(|error| errors::raised(py, Class::Controller, &error));
+            .map_err(|error| errors::exception(py, ExceptionClass::Controller, &error));
     }
     let decide = controller.getattr("decide")?;
     if !decide.is_callable() {
@@ -95,15 +95,15 @@ pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &Stop) -> 
         return Err(PyValueError::new_err("interval_s must be a positive number of seconds, or None"));
     }
     let way = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
-        (false, false) => CallMode::Alone,
+        (false, false) => CallMode::Single,
         (true, false) => CallMode::Batch,
-        (false, true) => CallMode::EachRun,
+        (false, true) => CallMode::PerRun,
         (true, true) => return Err(PyValueError::new_err("a batch has no run of its own: choose batch or each_run")),
     };
-    let called = Arc::new(PythonCallable { decide: decide.unbind(), way, stop: stop.clone() });
+    let called = Arc::new(PythonCallable { decide: decide.unbind(), mode: way, stop: stop.clone() });
     let identity = controller.getattr("identity")?.extract()?;
     let name: String = controller.getattr("name")?.extract()?;
-    Ok(NamedController::from_source(&name, Arc::new(PythonSource { called, interval_s, identity })))
+    Ok(NamedController::from_source(&name, Arc::new(PythonSource { callable: called, interval_s, identity })))
 }
 
 /// How a callable is asked.
@@ -121,7 +121,7 @@ enum CallMode {
 struct PythonCallable {
     decide: Py<PyAny>,
     mode: CallMode,
-    stop: Stop,
+    stop: StopFlag,
 }
 
 struct PythonSource {
@@ -139,42 +139,42 @@ impl ControllerSource for PythonSource {
         self.interval_s
     }
 
-    fn batch(&self) -> Option<&dyn BatchController> {
-        (self.called.way == CallMode::Batch).then_some(&*self.called)
+    fn batch_controller(&self) -> Option<&dyn BatchController> {
+        (self.callable.mode == CallMode::Batch).then_some(&*self.callable)
     }
 
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-        if self.called.way != CallMode::EachRun {
-            return Ok(Box::new(PythonDriver(Arc::clone(&self.called))));
+        if self.callable.mode != CallMode::PerRun {
+            return Ok(Box::new(PythonDriver(Arc::clone(&self.callable))));
         }
-        self.called.go_on()?;
+        self.callable.check_stop()?;
         let decide = Python::attach(|py| {
-            self.called.decide.call1(py, (ego.vehicle, seed)).map_err(|error| failure_from_exception(py, &error))
+            self.callable.decide.call1(py, (ego.vehicle, seed)).map_err(|error| failure_from_exception(py, &error))
         })?;
-        let called = PythonCallable { decide, way: CallMode::Alone, stop: self.called.stop.clone() };
+        let called = PythonCallable { decide, mode: CallMode::Single, stop: self.callable.stop.clone() };
         Ok(Box::new(PythonDriver(Arc::new(called))))
     }
 }
 
 impl PythonCallable {
     fn check_stop(&self) -> Result<(), ControllerFailure> {
-        if self.stop.is_asked() { Err(died("it was interrupted")) } else { Ok(()) }
+        if self.stop.is_set() { Err(failure("it was interrupted")) } else { Ok(()) }
     }
 }
 
 impl BatchController for PythonCallable {
-    fn decide_all(&self, seen: &[Seen], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
-        self.go_on()?;
+    fn decide_batch(&self, seen: &[Seen], answers_mps2: &mut [f64]) -> Result<(), ControllerFailure> {
+        self.check_stop()?;
         let rows: Vec<f64> = seen.iter().flat_map(PyObservation::row).collect();
         Python::attach(|py| {
             let raised = |error: PyErr| failure_from_exception(py, &error);
             let rows = PyArray1::from_vec(py, rows).reshape([seen.len(), ROW_WIDTH]).map_err(raised)?;
             let answered = self.decide.bind(py).call1((rows,)).map_err(raised)?;
             let answered: PyArrayLike1<'_, f64, AllowTypeChange> =
-                answered.extract().map_err(|_| died(format!("it answered no array of {} numbers", seen.len())))?;
+                answered.extract().map_err(|_| failure(format!("it answered no array of {} numbers", seen.len())))?;
             let answered = answered.as_array();
             if answered.len() != answers_mps2.len() {
-                return Err(died(format!("it answered {} numbers to {} rows", answered.len(), seen.len())));
+                return Err(failure(format!("it answered {} numbers to {} rows", answered.len(), seen.len())));
             }
             answers_mps2.iter_mut().zip(answered).for_each(|(answer_mps2, answered)| *answer_mps2 = *answered);
             Ok(())
@@ -187,14 +187,14 @@ struct PythonDriver(Arc<PythonCallable>);
 
 impl Controller for PythonDriver {
     fn decide(&mut self, seen: &Seen) -> Result<f64, ControllerFailure> {
-        if self.0.way == CallMode::Batch {
+        if self.0.mode == CallMode::Batch {
             let mut answer_mps2 = [0.0];
-            self.0.decide_all(std::slice::from_ref(seen), &mut answer_mps2)?;
+            self.0.decide_batch(std::slice::from_ref(seen), &mut answer_mps2)?;
             return Ok(answer_mps2[0]);
         }
-        self.0.go_on()?;
+        self.0.check_stop()?;
         Python::attach(|py| {
-            let answered = self.0.decide.bind(py).call1((PyObservation::of(seen),));
+            let answered = self.0.decide.bind(py).call1((PyObservation::new(seen),));
             answered.and_then(|answered| answered.extract()).map_err(|error| failure_from_exception(py, &error))
         })
     }
@@ -208,6 +208,6 @@ fn failure(message: impl Into<String>) -> ControllerFailure {
 fn failure_from_exception(py: Python<'_>, error: &PyErr) -> ControllerFailure {
     let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
     let text = format!("{traceback}{error}");
-    let skipped = text.chars().count().saturating_sub(MOST_CHARACTERS);
-    died(text.chars().skip(skipped).collect::<String>())
+    let skipped = text.chars().count().saturating_sub(MAX_TRACEBACK_CHARS);
+    failure(text.chars().skip(skipped).collect::<String>())
 }

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crumple_learn::rl::{Ending, Episode, ScenarioSource, Terms, TrainingConfig, bounds, unsuited};
+use crumple_learn::rl::{Ending, TrainingEpisode, ScenarioSource, EpisodeConfig, TrainingConfig, action_bounds, unsuitability};
 use crumple_world::control::{ControllerSpec, NoSettings};
 use crumple_world::policy::STATE_LEN;
 use crumple_world::scenario::{Scenario, file};
@@ -12,11 +12,11 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use crate::errors::{self, Class};
-use crate::scenario::Space;
+use crate::errors::{self, ExceptionClass};
+use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
 use crate::threads;
-use crate::values::choice;
+use crate::values::parse_choice;
 
 /// Episodes that a thread takes at least when they begin: fewer are begun faster than they are handed over.
 const MIN_EPISODES_PER_THREAD: usize = 16;
@@ -40,22 +40,22 @@ enum Autoreset {
 /// Where episodes come from and how they are driven.
 struct EpisodeTask {
     source: Arc<dyn ScenarioSource>,
-    config: Arc<Terms>,
+    config: Arc<EpisodeConfig>,
     autoreset: Autoreset,
 }
 
 impl EpisodeTask {
-    fn new_episode(&self, seed: u64, index: u64) -> Result<(Scenario, Episode), String> {
+    fn new_episode(&self, seed: u64, index: u64) -> Result<(Scenario, TrainingEpisode), String> {
         let scenario = self.source.draw(seed, index).map_err(|error| error.to_string())?;
-        if let Some(why) = unsuited(&scenario) {
+        if let Some(why) = unsuitability(&scenario) {
             return Err(format!("{}: {why}", scenario.spec().name));
         }
         // The actions drive the vehicle under test: its controller is never asked.
         let idle = ControllerSpec::MatchLeader(NoSettings::default());
-        let options = RunOptions::new(idle).with_estimator(self.terms.config().estimator);
+        let options = RunOptions::new(idle).with_estimator(self.config.environment().estimator);
         let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
-        let terms = self.terms.of_episode(self.source.as_ref(), seed, index);
-        Ok((scenario, Episode::new(&run, &terms)))
+        let terms = self.config.for_episode(self.source.as_ref(), seed, index);
+        Ok((scenario, TrainingEpisode::new(&run, &terms)))
     }
 }
 
@@ -63,7 +63,7 @@ impl EpisodeTask {
 struct SubEnvironment {
     seed: u64,
     next_index: u64,
-    episode: Option<(Scenario, Episode)>,
+    episode: Option<(Scenario, TrainingEpisode)>,
     is_over: bool,
 }
 
@@ -85,7 +85,7 @@ type StepRow<'a> = (
 
 impl SubEnvironment {
     fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
-        let (scenario, mut episode) = task.episode(self.seed, self.next_index)?;
+        let (scenario, mut episode) = task.new_episode(self.seed, self.next_index)?;
         self.next_index += 1;
         state.copy_from_slice(&episode.state());
         (self.episode, self.is_over) = (Some((scenario, episode)), false);
@@ -107,21 +107,21 @@ impl SubEnvironment {
         let StepBuffers { state, last_state, reward, terminated, truncated, ending } = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
-            return self.begin(task, state);
+            return self.reset(task, state);
         }
         let Some((_, episode)) = self.episode.as_mut().filter(|_| !self.is_over) else {
             return Err(MUST_BE_RESET.to_owned());
         };
-        let led_to = episode.decide(action.clamp(-1.0, 1.0));
+        let led_to = episode.step(action.clamp(-1.0, 1.0));
         self.is_over = led_to.ending != Ending::None;
         *reward = led_to.reward;
         *terminated = self.is_over && !led_to.continues;
         *truncated = self.is_over && led_to.continues;
-        *ending = number(led_to.ending);
+        *ending = ending_code(led_to.ending);
         state.copy_from_slice(&led_to.next_state);
         if self.is_over && task.autoreset == Autoreset::SameStep {
             last_state.copy_from_slice(&led_to.next_state);
-            self.begin(task, state)?;
+            self.reset(task, state)?;
         }
         Ok(())
     }
@@ -151,51 +151,51 @@ impl Episodes {
     fn new(
         py: Python<'_>,
         count: usize,
-        space: Option<PyRef<'_, Space>>,
+        space: Option<PyRef<'_, PySpace>>,
         preset: &str,
         estimator: Option<&str>,
         autoreset: &str,
     ) -> PyResult<Self> {
-        if !(1..=MOST_EPISODES).contains(&count) {
+        if !(1..=MAX_EPISODES).contains(&count) {
             return Err(PyValueError::new_err(format!(
-                "there must be 1 to {MOST_EPISODES} environments, found {count}"
+                "there must be 1 to {MAX_EPISODES} environments, found {count}"
             )));
         }
-        let config = training(py, preset)?;
+        let config = load_training_config(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
-            None => config.source().map_err(|error| errors::raised(py, Class::Training, &error))?,
+            None => config.scenario_source().map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?,
         };
         let mut environment = config.environment;
         if let Some(estimator) = estimator {
-            environment.estimator = choice("estimator", estimator, &ESTIMATORS)?;
+            environment.estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
         }
         let known =
             [("next-step", Autoreset::NextStep), ("same-step", Autoreset::SameStep), ("disabled", Autoreset::Disabled)];
-        let autoreset = choice("autoreset", autoreset, &known)?;
-        let terms = Terms::new(environment, config.learning.discount);
-        let task = EpisodeTask { source, terms, autoreset };
-        task.episode(0, 0).map_err(|error| errors::raised(py, Class::Training, &error))?;
+        let autoreset = parse_choice("autoreset", autoreset, &known)?;
+        let terms = EpisodeConfig::new(environment, config.learning.discount);
+        let task = EpisodeTask { source, config: terms, autoreset };
+        task.new_episode(0, 0).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?;
         let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
-        Ok(Self { task, lanes: Mutex::new((0..count as u64).map(lane).collect()) })
+        Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })
     }
 
     /// Numbers of a state are cut to plus and minus this.
     #[getter]
     fn state_limit(&self) -> f64 {
-        self.task.terms.config().observation.limit
+        self.task.config.environment().observation.limit
     }
 
     /// Simulated time between two decisions, in seconds.
     #[getter]
     fn decision_s(&self) -> f64 {
-        f64::from(self.task.terms.config().decision_steps) * crumple_world::scenario::PAPER_STEP_S
+        f64::from(self.task.config.environment().action_repeat) * crumple_world::scenario::PAPER_STEP_S
     }
 
     /// Accelerations that the actions -1 and 1 stand for, in m/s².
     #[getter]
     fn acceleration_range_mps2(&self) -> (f64, f64) {
-        let bounds = bounds(self.task.terms.config());
+        let bounds = action_bounds(self.task.config.environment());
         (bounds.low_mps2, bounds.high_mps2)
     }
 
@@ -209,9 +209,9 @@ impl Episodes {
     ) -> PyResult<()> {
         let (mask, states, pool) = (mask.as_slice()?, states.as_slice_mut()?, threads::pool()?);
         py.detach(|| {
-            let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
-            fit(&[mask.len(), states.len() / STATE_LEN, seeds.as_ref().map_or(count, Vec::len)], count)?;
+            check_lengths(&[mask.len(), states.len() / STATE_LEN, seeds.as_ref().map_or(count, Vec::len)], count)?;
             let begin = |(index, ((lane, state), chosen)): (usize, ((&mut SubEnvironment, &mut [f32]), &bool))| {
                 if !chosen {
                     return Ok(());
@@ -219,7 +219,7 @@ impl Episodes {
                 if let Some(seed) = seeds.as_ref().and_then(|seeds| seeds.get(index)) {
                     (lane.seed, lane.next_index) = (*seed, 0);
                 }
-                lane.begin(&self.task, state)
+                lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
                 return lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate().try_for_each(begin);
@@ -227,7 +227,7 @@ impl Episodes {
             let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))
         })
-        .map_err(|error| errors::raised(py, Class::Training, &error))
+        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
 
     /// One decision of every lane, from `actions` into the arrays.
@@ -247,14 +247,14 @@ impl Episodes {
         let (rewards, terminated, pool) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?, threads::pool()?);
         let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
         py.detach(|| {
-            let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
             let widths = [actions.len(), states.len() / STATE_LEN, last_states.len() / STATE_LEN];
-            fit(&widths, lanes.len())?;
-            fit(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
+            check_lengths(&widths, lanes.len())?;
+            check_lengths(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
             // Before anybody moves: what is raised half-way would leave some of them a step ahead of the others.
             let refused = lanes.iter().zip(actions).enumerate();
             let mut refused =
-                refused.filter_map(|(index, (lane, action))| Some((index, lane.refusal(&self.task, *action)?)));
+                refused.filter_map(|(index, (lane, action))| Some((index, lane.step_error(&self.task, *action)?)));
             if let Some((index, why)) = refused.next() {
                 return Err(format!("environment {index}: {why}"));
             }
@@ -275,19 +275,19 @@ impl Episodes {
             let rows = lanes.par_iter_mut().zip(actions).zip(states).zip(rewards.par_iter_mut().zip(ends));
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(step))
         })
-        .map_err(|error| errors::raised(py, Class::Training, &error))
+        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
     }
 
     /// Where the vehicles of a lane are, front to rear: front bumpers and lengths in metres. Nothing before its first reset.
     fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
-        let lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
+        let lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
         let (scenario, episode) = lanes.get(lane)?.episode.as_ref()?;
         let position_m = episode.motion().iter().map(|at| at.position_m).collect();
         Some((position_m, scenario.vehicles().iter().map(|vehicle| vehicle.length_m()).collect()))
     }
 
     fn __len__(&self) -> usize {
-        self.lanes.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 }
 
@@ -302,12 +302,12 @@ fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
 /// The text of a preset of `crumple train`.
 #[pyfunction]
 pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static str> {
-    TrainingConfig::preset_text(name).map_err(|error| errors::raised(py, Class::Training, &error))
+    TrainingConfig::preset_text(name).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
 }
 
 /// A preset of `crumple train`, a file of one, or a text of two lines at least.
 fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
-    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Training, &error.to_string());
+    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
     if preset.contains('\n') {
         return TrainingConfig::parse(preset, std::path::Path::new("<toml>")).map_err(|error| wrong(&error));
     }
@@ -315,6 +315,6 @@ fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig
     if path.extension().is_none() {
         return TrainingConfig::preset(preset).map_err(|error| wrong(&error));
     }
-    let text = file::read(path).map_err(|error| errors::of_file(py, Class::Training, &error))?;
+    let text = file::read(path).map_err(|error| errors::file_exception(py, ExceptionClass::Training, &error))?;
     TrainingConfig::parse(&text, path).map_err(|error| wrong(&error))
 }

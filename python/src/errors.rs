@@ -47,21 +47,21 @@ struct ErrorLocation<'a> {
 
 /// An exception that says what is wrong.
 pub(crate) fn exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display) -> PyErr {
-    new_exception(py, class, error, &Place::default())
+    new_exception(py, class, error, &ErrorLocation::default())
 }
 
 /// An exception that says which file cannot be used, and why.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
     let place = match error {
-        FileError::Read { path, .. } | FileError::Extension { path } => Place { file: Some(path), ..Place::default() },
+        FileError::Read { path, .. } | FileError::Extension { path } => ErrorLocation { file: Some(path), ..ErrorLocation::default() },
         FileError::Syntax { path, line, message } => {
             let field = message.split_once(": ").map(|(field, _)| field).filter(|field| !field.contains(' '));
-            Place { file: Some(path), line: Some(*line), field }
+            ErrorLocation { file: Some(path), line: Some(*line), field }
         }
         FileError::Invalid { path, line, invalid } => {
-            Place { file: Some(path), line: Some(*line), field: Some(&invalid.field) }
+            ErrorLocation { file: Some(path), line: Some(*line), field: Some(&invalid.field) }
         }
-        _ => Place::default(),
+        _ => ErrorLocation::default(),
     };
     if error.is_start_refused() {
         let words = format!("{error} (in Python: crumple.allow_external())");
@@ -73,14 +73,14 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
 /// An exception that says which space there is none of.
 pub(crate) fn space_exception(py: Python<'_>, error: &FindSpaceError) -> PyErr {
     match error {
-        FindSpaceError::File(error) => of_file(py, ExceptionClass::Space, error),
-        other => raised(py, ExceptionClass::Space, other),
+        FindSpaceError::File(error) => file_exception(py, ExceptionClass::Space, error),
+        other => exception(py, ExceptionClass::Space, other),
     }
 }
 
 /// An exception that names a field.
 pub(crate) fn field_exception(py: Python<'_>, error: &InvalidField) -> PyErr {
-    new_exception(py, ExceptionClass::Scenario, error, &Place { field: Some(&error.field), ..Place::default() })
+    new_exception(py, ExceptionClass::Scenario, error, &ErrorLocation { field: Some(&error.field), ..ErrorLocation::default() })
 }
 
 /// An exception that says where something is wrong: file, line and field.
@@ -90,10 +90,10 @@ pub(crate) fn exception_at(
     error: &impl std::fmt::Display,
     (file, line, field): (&Path, usize, &str),
 ) -> PyErr {
-    new_exception(py, class, error, &Place { file: Some(file), line: Some(line), field: Some(field) })
+    new_exception(py, class, error, &ErrorLocation { file: Some(file), line: Some(line), field: Some(field) })
 }
 
-fn new_exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display, place: &Place<'_>) -> PyErr {
+fn new_exception(py: Python<'_>, class: ExceptionClass, error: &impl std::fmt::Display, place: &ErrorLocation<'_>) -> PyErr {
     let file = place.file.map(|file| file.display().to_string());
     let made = py
         .import("crumple.errors")

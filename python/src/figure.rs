@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use crumple_report::draw::{self, Layout, MotionFigure};
+use crumple_report::draw::{self, PanelArrangement, MotionFigure};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Impact, Trace};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::values::choice;
+use crate::values::parse_choice;
 
 /// A picture as SVG.
 #[pyclass(frozen, module = "crumple")]
@@ -27,10 +27,10 @@ impl PyFigure {
         impacts: &[Impact],
         layout: &str,
     ) -> PyResult<Self> {
-        let known = [("wide", Layout::Wide), ("stacked", Layout::Stacked), ("column", Layout::Column)];
+        let known = [("wide", PanelArrangement::Wide), ("stacked", PanelArrangement::Stacked), ("column", PanelArrangement::Column)];
         let labels = draw::vehicle_names(scenario);
         let figure = MotionFigure { prefix: "motion", title, labels: &labels, trace, impacts };
-        Ok(Self { svg: draw::motion(&figure, choice("layout", layout, &known)?).document() })
+        Ok(Self { svg: simulate_failures::motion(&figure, parse_choice("layout", layout, &known)?).document() })
     }
 }
 

@@ -44,14 +44,14 @@ struct ActiveWork(StopFlag);
 
 impl ActiveWork {
     fn register(stop: &StopFlag) -> Self {
-        UNDER_WAY.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+        ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
         Self(stop.clone())
     }
 }
 
 impl Drop for ActiveWork {
     fn drop(&mut self) {
-        let (all, ended) = &UNDER_WAY;
+        let (all, ended) = &ACTIVE_WORK;
         all.lock().unwrap_or_else(PoisonError::into_inner).retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
         ended.notify_all();
     }
@@ -62,9 +62,9 @@ impl Drop for ActiveWork {
 #[pyfunction]
 pub(crate) fn stop_all_work(py: Python<'_>) {
     py.detach(|| {
-        let (all, ended) = &UNDER_WAY;
+        let (all, ended) = &ACTIVE_WORK;
         let all = all.lock().unwrap_or_else(PoisonError::into_inner);
-        all.iter().for_each(StopFlag::ask);
+        all.iter().for_each(StopFlag::set);
         // A callable may take its time, but not for ever.
         drop(ended.wait_timeout_while(all, EXIT_TIMEOUT, |all| !all.is_empty()));
     });
@@ -83,7 +83,7 @@ pub(crate) fn run_interruptible<T: Send>(
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
     let pool = threads::pool()?;
-    let _under_way = ActiveWork::begin(stop);
+    let _under_way = ActiveWork::register(stop);
     let (said, heard) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
         thread::scope(|scope| {
@@ -92,7 +92,7 @@ pub(crate) fn run_interruptible<T: Send>(
                     work(&|state| {
                         // The channel has no receiver any more once an exception was raised.
                         let _ = said.send(state);
-                        if stop.is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                        if stop.is_set() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
                     })
                 })
             });
@@ -100,14 +100,14 @@ pub(crate) fn run_interruptible<T: Send>(
             loop {
                 // The channel closes when the work is done.
                 let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
-                    Ok(state) => Python::attach(|py| tell(py, progress, state).and_then(|()| py.check_signals())),
+                    Ok(state) => Python::attach(|py| report_progress(py, progress, state).and_then(|()| py.check_signals())),
                     Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
                 if let Err(error) = looked
                     && raised.is_none()
                 {
-                    stop.ask();
+                    stop.set();
                     raised = Some(error);
                 }
             }

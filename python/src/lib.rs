@@ -29,30 +29,30 @@ mod _crumple {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use crate::assessment::{Assessment, assess};
+    use crate::assessment::{PyAssessment, assess};
     #[pymodule_export]
     use crate::campaign::falsify;
     #[pymodule_export]
-    use crate::controller::{Observation, allow_external};
+    use crate::controller::{PyObservation, allow_external};
     #[pymodule_export]
     use crate::episodes::{Episodes, training_preset};
     #[pymodule_export]
-    use crate::figure::Figure;
+    use crate::figure::PyFigure;
     #[pymodule_export]
     use crate::monitor::monitor;
     #[pymodule_export]
     use crate::rate::rate;
     #[pymodule_export]
-    use crate::scenario::{Scenario, Space};
+    use crate::scenario::{PyScenario, PySpace};
     #[pymodule_export]
-    use crate::simulation::{Simulation, Trace, Track, simulate};
+    use crate::simulation::{Simulation, PyTrace, PyTrack, simulate};
     #[pymodule_export]
     use crate::worst_case::worst_case;
 
     /// Half-done work is gone on with by the same build alone: that of this file, not of the interpreter.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        let leave = wrap_pyfunction!(crate::interruptible::leave, module)?;
+        let leave = wrap_pyfunction!(crate::interruptible::stop_all_work, module)?;
         module.py().import("atexit")?.call_method1("register", (leave,))?;
         crumple_store::program::set_library_path(module.filename()?.extract::<PathBuf>()?);
         Ok(())

@@ -1,12 +1,12 @@
 //! Robustness of formulas of signal temporal logic, on arrays.
 
-use crumple_world::measure::stl::{Formula, MonitorError, Signals, SignalsError};
+use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals, SignalsError};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use crate::errors::{self, Class};
-use crate::interruptible::{Stop, watched};
+use crate::errors::{self, ExceptionClass};
+use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Traces between two looks at whether to go on.
 const TRACES_PER_BATCH: usize = 1024;
@@ -33,8 +33,8 @@ struct SignalRows<'a> {
 impl SignalRows<'_> {
     /// Robustness on one trace: at its start, or at every sample.
     fn robustness(&self, formula: &Formula, trace: usize, over_time: bool) -> Result<Vec<f64>, RobustnessError> {
-        let mut signals = Signals::new(self.step_s, self.samples)?;
-        for (name, values, is_shared) in &self.named {
+        let mut signals = SampledSignals::new(self.step_s, self.samples)?;
+        for (name, values, is_shared) in &self.signals {
             let first = if *is_shared { 0 } else { trace * self.samples };
             let row = values.get(first..first + self.samples).unwrap_or_default();
             signals.insert(*name, row)?;
@@ -57,7 +57,7 @@ pub(crate) fn monitor<'py>(
     traces: usize,
     over_time: bool,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Formula, &error.to_string());
+    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Formula, &error.to_string());
     let formula: Formula = formula.parse().map_err(|error| wrong(&error))?;
     let samples = signals.first().map_or(0, |values| values.as_array().ncols());
     let mut named = Vec::with_capacity(signals.len());
@@ -70,20 +70,20 @@ pub(crate) fn monitor<'py>(
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }
-    let rows = SignalRows { step_s, samples, named };
-    let of = |trace: usize| rows.monitored(&formula, trace, over_time);
+    let rows = SignalRows { step_s, samples, signals: named };
+    let of = |trace: usize| rows.robustness(&formula, trace, over_time);
     let found: Result<Vec<Vec<f64>>, RobustnessError> = if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
         // A thread of its own would take longer.
         py.detach(|| (0..traces).map(of).collect())
     } else {
-        let stop = Stop::default();
-        watched(py, &stop, None, |_| {
+        let stop = StopFlag::default();
+        run_interruptible(py, &stop, None, |_| {
             let mut found = Vec::with_capacity(traces);
-            for first in (0..traces).step_by(AT_ONCE) {
-                if stop.is_asked() {
+            for first in (0..traces).step_by(TRACES_PER_BATCH) {
+                if stop.is_set() {
                     break;
                 }
-                let some = (first..traces.min(first + AT_ONCE)).into_par_iter().map(of);
+                let some = (first..traces.min(first + TRACES_PER_BATCH)).into_par_iter().map(of);
                 found.append(&mut some.collect::<Result<Vec<_>, _>>()?);
             }
             Ok(found)

@@ -7,11 +7,11 @@ use crumple_verify::check;
 use pyo3::prelude::*;
 
 use crate::controller;
-use crate::errors::{self, Class};
-use crate::scenario::Space;
+use crate::errors::{self, ExceptionClass};
+use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
-use crate::values::{choice, written};
-use crate::interruptible::{Stop, watched};
+use crate::values::{parse_choice, serialize_to_python};
+use crate::interruptible::{StopFlag, run_interruptible};
 
 /// What was counted, and what it shows: the certificate and what the checker accepts it as, or why nothing is shown.
 type RateResult<'py> = (Bound<'py, PyAny>, Option<Bound<'py, PyAny>>, String);
@@ -23,7 +23,7 @@ pub(crate) fn rate<'py>(
     py: Python<'py>,
     controller: &Bound<'py, PyAny>,
     against: Option<&Bound<'py, PyAny>>,
-    space: PyRef<'py, Space>,
+    space: PyRef<'py, PySpace>,
     runs: u64,
     confidence: f64,
     seed: u64,
@@ -32,20 +32,20 @@ pub(crate) fn rate<'py>(
     resume: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<RateResult<'py>> {
-    let stop = Stop::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Rate, &error.to_string());
-    let against = against.map(|against| controller::named(against, &stop)).transpose()?;
+    let stop = StopFlag::default();
+    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Rate, &error.to_string());
+    let against = against.map(|against| controller::resolve_controller(against, &stop)).transpose()?;
     let plan = RatePlan::new(RateConfig {
         against,
         seed,
-        estimator: choice("estimator", estimator, &ESTIMATORS)?,
+        estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         confidence,
-        ..RateConfig::new(controller::named(controller, &stop)?, space.0.clone(), runs)
+        ..RateConfig::new(controller::resolve_controller(controller, &stop)?, space.0.clone(), runs)
     })
     .map_err(|error| wrong(&error))?;
-    let (counted, tally) = watched(py, &stop, progress.as_ref(), |say| {
+    let (counted, tally) = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let mut count = plan.register_in(&folder, resume)?;
-        let counted = count.certificate(&|state: &CountProgress| say((state.runs, runs, state.failures)));
+        let counted = count.certify(&|state: &CountProgress| say((state.runs, runs, state.failures)));
         let tally = count.tally().clone();
         match counted {
             Ok(certificate) => Ok((Ok(certificate), tally)),
@@ -54,11 +54,11 @@ pub(crate) fn rate<'py>(
         }
     })?
     .map_err(|error: RateFolderError| wrong(&error))?;
-    let tally = written(py, &tally)?;
+    let tally = serialize_to_python(py, &tally)?;
     Ok(match counted {
         Ok(certificate) => {
             let words = check(&certificate).map(|accepted| accepted.to_string()).unwrap_or_default();
-            (tally, Some(written(py, &certificate)?), words)
+            (tally, Some(serialize_to_python(py, &certificate)?), words)
         }
         Err(rejection) => (tally, None, rejection.to_string()),
     })

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use crumple_world::scenario::space::{self, find_space};
-use crumple_world::scenario::{self as world, built_in, built_in_names, file};
+use crumple_world::scenario::{self as world, built_in_scenario, built_in_scenario_names, file};
 use pyo3::prelude::*;
 
-use crate::errors::{self, Class};
-use crate::values::written;
+use crate::errors::{self, ExceptionClass};
+use crate::values::serialize_to_python;
 
 /// A valid scenario.
 #[pyclass(frozen, eq, module = "crumple")]
@@ -19,13 +19,13 @@ impl PyScenario {
     /// The built-in scenario of that name, or the one in a file.
     #[staticmethod]
     fn find(py: Python<'_>, name: &str) -> PyResult<Self> {
-        if let Some(scenario) = built_in(name) {
+        if let Some(scenario) = built_in_scenario(name) {
             return Ok(Self(scenario));
         }
         if Path::new(name).extension().is_none() && !Path::new(name).exists() {
-            let known: Vec<_> = built_in_names().iter().map(|(name, _)| *name).collect();
+            let known: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| *name).collect();
             let message = format!("`{name}` is neither a built-in scenario ({}) nor a file", known.join(", "));
-            return Err(errors::raised(py, Class::Scenario, &message));
+            return Err(errors::exception(py, ExceptionClass::Scenario, &message));
         }
         Self::load(py, PathBuf::from(name))
     }
@@ -33,21 +33,21 @@ impl PyScenario {
     /// The scenario in a file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        file::load(&path).map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        file::load(&path).map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 
     /// The scenario that a text says.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_toml(text, Path::new("<toml>"));
-        read.map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 
     /// The same from JSON.
     #[staticmethod]
     fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = file::from_json(text, Path::new("<dict>"));
-        read.map(Self).map_err(|error| errors::of_file(py, Class::Scenario, &error))
+        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 
     #[getter]
@@ -71,15 +71,15 @@ impl PyScenario {
     }
 
     fn with_seed(&self, py: Python<'_>, seed: u64) -> PyResult<Self> {
-        self.0.edited(|spec| spec.seed = seed).map(Self).map_err(|error| errors::of_field(py, &error))
+        self.0.edited(|spec| spec.seed = seed).map(Self).map_err(|error| errors::field_exception(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, self.0.spec())
+        serialize_to_python(py, self.0.spec())
     }
 
     fn to_toml(&self, py: Python<'_>) -> PyResult<String> {
-        file::to_toml(&self.0).map_err(|error| errors::raised(py, Class::Scenario, &error))
+        file::to_toml(&self.0).map_err(|error| errors::exception(py, ExceptionClass::Scenario, &error))
     }
 
     fn __len__(&self) -> usize {
@@ -93,7 +93,7 @@ impl PyScenario {
 
 /// A space in which every point is a valid scenario.
 #[pyclass(frozen, module = "crumple")]
-pub(crate) struct PySpace(pub(crate) space::Space);
+pub(crate) struct PySpace(pub(crate) space::PySpace);
 
 #[pymethods]
 impl PySpace {
@@ -107,7 +107,7 @@ impl PySpace {
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
         let read = space::file::from_toml(text, Path::new("<toml>"));
-        read.map(Self).map_err(|error| errors::of_file(py, Class::Space, &error))
+        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Space, &error))
     }
 
     #[getter]
@@ -122,21 +122,21 @@ impl PySpace {
 
     /// The scenario at a point of the unit cube.
     fn at(&self, py: Python<'_>, point: Vec<f64>) -> PyResult<PyScenario> {
-        self.0.at(&point).map(PyScenario).map_err(|error| errors::of_field(py, &error))
+        self.0.at(&point).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
     /// The scenario in which every parameter is nominal.
     fn nominal(&self, py: Python<'_>) -> PyResult<PyScenario> {
-        self.0.scenario(&self.0.nominal()).map(PyScenario).map_err(|error| errors::of_field(py, &error))
+        self.0.scenario(&self.0.nominal()).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
     /// The draw of that number by the distribution.
     fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<PyScenario> {
-        self.0.draw(seed, index).map(PyScenario).map_err(|error| errors::of_field(py, &error))
+        self.0.draw(seed, index).map(PyScenario).map_err(|error| errors::field_exception(py, &error))
     }
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, self.0.spec())
+        serialize_to_python(py, self.0.spec())
     }
 
     fn __len__(&self) -> usize {

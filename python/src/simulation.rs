@@ -4,18 +4,18 @@ use std::sync::Arc;
 
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::{self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, Simulated, simulate_batch};
+use crumple_world::sim::{self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 
 use crate::controller;
-use crate::errors::{self, Class};
-use crate::figure::Figure;
-use crate::scenario::Scenario;
+use crate::errors::{self, ExceptionClass};
+use crate::figure::PyFigure;
+use crate::scenario::PyScenario;
 use crate::table;
-use crate::values::{choice, written};
-use crate::interruptible::{Stop, watched};
+use crate::values::{parse_choice, serialize_to_python};
+use crate::interruptible::{StopFlag, run_interruptible};
 
 /// Runs between two looks at whether to go on.
 const BATCH_SIZE: usize = 512;
@@ -91,7 +91,7 @@ impl PyTrace {
         requested_schema: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyCapsule>> {
         let _ = requested_schema;
-        let stream = table::stream(&self.samples(py)?).map_err(|error| errors::raised(py, Class::Run, &error))?;
+        let stream = table::arrow_stream(&self.to_native(py)?).map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
         PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
     }
 
@@ -106,7 +106,7 @@ pub(crate) struct Simulation {
     scenario: crumple_world::scenario::Scenario,
     controller: Arc<str>,
     options: RunOptions,
-    result: Simulated,
+    result: SimulationResult,
     #[pyo3(get)]
     trace: Option<Py<PyTrace>>,
 }
@@ -114,8 +114,8 @@ pub(crate) struct Simulation {
 #[pymethods]
 impl Simulation {
     #[getter]
-    fn scenario(&self) -> Scenario {
-        Scenario(self.scenario.clone())
+    fn scenario(&self) -> PyScenario {
+        PyScenario(self.scenario.clone())
     }
 
     #[getter]
@@ -125,7 +125,7 @@ impl Simulation {
 
     #[getter]
     fn outcome(&self) -> &'static str {
-        match self.simulated.outcome {
+        match self.result.outcome {
             Outcome::NoCollision => "no_collision",
             Outcome::Collision(_) => "collision",
             Outcome::ControllerFailed(_) => "controller_failed",
@@ -134,56 +134,56 @@ impl Simulation {
 
     #[getter]
     fn is_safe(&self) -> bool {
-        self.simulated.outcome.is_safe()
+        self.result.outcome.is_safe()
     }
 
     #[getter]
     fn contact<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.simulated.outcome.contact().map(|contact| written(py, contact)).transpose()
+        self.result.outcome.contact().map(|contact| serialize_to_python(py, contact)).transpose()
     }
 
     #[getter]
     fn failure(&self) -> Option<String> {
-        self.simulated.outcome.failed().map(ToString::to_string)
+        self.result.outcome.failed_controller().map(ToString::to_string)
     }
 
     #[getter]
     fn impacts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, &self.simulated.impacts)
+        serialize_to_python(py, &self.result.impacts)
     }
 
     #[getter]
     fn vehicles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, &self.simulated.vehicles)
+        serialize_to_python(py, &self.result.vehicles)
     }
 
     #[getter]
     fn interventions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        written(py, &self.simulated.interventions)
+        serialize_to_python(py, &self.result.interventions)
     }
 
     /// How robustly the run keeps a specification, as `crumple simulate --spec` says.
     fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
-        let wrong = |error: &dyn std::fmt::Display| errors::raised(py, Class::Formula, &error.to_string());
+        let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Formula, &error.to_string());
         let specification = Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
         let judged_until_contact = self.options.after_contact != specification.after_contact();
-        if judged_until_contact && self.simulated.outcome.contact().is_some() {
-            let how = if specification.keep() == RecordingLevel::Trace { "continue" } else { "stop" };
+        if judged_until_contact && self.result.outcome.contact().is_some() {
+            let how = if specification.recording_level() == RecordingLevel::Trace { "continue" } else { "stop" };
             return Err(wrong(&format!("`{spec}` is judged on a run with after_contact=\"{how}\"")));
         }
         let run = Run::new(&self.scenario, self.options.clone()).map_err(|error| wrong(&error))?;
-        let mut simulated = self.simulated.clone();
-        if specification.keep() == RecordingLevel::Trace {
-            simulated.trace = Some(self.samples(py)?);
+        let mut simulated = self.result.clone();
+        if specification.recording_level() == RecordingLevel::Trace {
+            simulated.trace = Some(self.native_trace(py)?);
         }
         specification.judge(&run, &simulated).map(|verdict| verdict.robustness).map_err(|error| wrong(&error))
     }
 
     /// Position, speed and spacing over time.
     #[pyo3(signature = (layout = "wide"))]
-    fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<Figure> {
+    fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<PyFigure> {
         let title = format!("{}, {}", self.scenario.spec().name, self.controller);
-        Figure::from_motion(&self.scenario, &title, &self.samples(py)?, &self.simulated.impacts, layout)
+        PyFigure::from_motion(&self.scenario, &title, &self.native_trace(py)?, &self.result.impacts, layout)
     }
 
     fn __repr__(&self) -> String {
@@ -194,8 +194,8 @@ impl Simulation {
 impl Simulation {
     fn native_trace(&self, py: Python<'_>) -> PyResult<sim::Trace> {
         match &self.trace {
-            Some(trace) => trace.get().samples(py),
-            None => Err(errors::raised(py, Class::Run, &"the simulation kept no trace: simulate with trace=True")),
+            Some(trace) => trace.get().to_native(py),
+            None => Err(errors::exception(py, ExceptionClass::Run, &"the simulation kept no trace: simulate with trace=True")),
         }
     }
 }
@@ -205,7 +205,7 @@ impl Simulation {
 #[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
 pub(crate) fn simulate(
     py: Python<'_>,
-    scenarios: Vec<PyRef<'_, Scenario>>,
+    scenarios: Vec<PyRef<'_, PyScenario>>,
     controller: &Bound<'_, PyAny>,
     estimator: &str,
     dt_s: Option<f64>,
@@ -213,25 +213,25 @@ pub(crate) fn simulate(
     trace: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<Simulation>> {
-    let stop = Stop::default();
-    let controller = controller::named(controller, &stop)?;
+    let stop = StopFlag::default();
+    let controller = controller::resolve_controller(controller, &stop)?;
     let known = [("stop", AfterContact::Stop), ("continue", AfterContact::Continue)];
     let mut options = RunOptions::new(controller.kind.clone())
-        .with_estimator(choice("estimator", estimator, &ESTIMATORS)?)
-        .with_after_contact(choice("after_contact", after_contact, &known)?);
+        .with_estimator(parse_choice("estimator", estimator, &ESTIMATORS)?)
+        .with_after_contact(parse_choice("after_contact", after_contact, &known)?);
     options.dt_s = dt_s;
     let scenarios: Vec<_> = scenarios.iter().map(|scenario| scenario.0.clone()).collect();
     let runs: Vec<Run> = scenarios
         .iter()
         .map(|scenario| {
             Run::new(scenario, options.clone())
-                .map_err(|error| errors::raised(py, Class::Run, &format!("{}: {error}", scenario.spec().name)))
+                .map_err(|error| errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name)))
         })
         .collect::<PyResult<_>>()?;
     let keep = if trace { RecordingLevel::Trace } else { RecordingLevel::Summary };
-    let results = watched(py, &stop, progress.as_ref(), |say| {
+    let results = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);
-        for some in runs.chunks(AT_ONCE) {
+        for some in runs.chunks(BATCH_SIZE) {
             let of_some = simulate_batch(some, keep, |_, simulated| simulated);
             failures += of_some.iter().filter(|simulated| !simulated.outcome.is_safe()).count();
             results.extend(of_some);
@@ -243,9 +243,9 @@ pub(crate) fn simulate(
     })?;
     drop(runs);
     let name: Arc<str> = controller.name.into();
-    let simulation = |(scenario, mut simulated): (_, Simulated)| {
+    let simulation = |(scenario, mut simulated): (_, SimulationResult)| {
         let trace = simulated.trace.take().map(|trace| Py::new(py, PyTrace::new(py, trace)?)).transpose()?;
-        Ok(Simulation { scenario, controller: Arc::clone(&name), options: options.clone(), simulated, trace })
+        Ok(Simulation { scenario, controller: Arc::clone(&name), options: options.clone(), result: simulated, trace })
     };
     scenarios.into_iter().zip(results).map(simulation).collect()
 }

@@ -9,7 +9,7 @@ use super::acc_benchmark::AccBenchmark;
 use super::simulate::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, benchmark};
+use crumple_search::falsify::chasing_cars::{Benchmark, CounterexampleFile, run_benchmark};
 use crumple_store::disk::{DiskError, StagedFiles};
 
 /// Measure it on a public problem: the search, or what is proved of a network
@@ -68,7 +68,7 @@ impl ChasingCars {
             check_empty(folder)?;
         }
         let (budget, seeds) = (self.budget as usize, self.seeds as usize);
-        let measured = benchmark(&self.method, budget, self.seed, seeds).map_err(CliError::input)?;
+        let measured = run_benchmark(&self.method, budget, self.seed, seeds).map_err(CliError::input)?;
         if let Some(folder) = &self.out {
             write_counterexamples(&measured, folder, quiet)?;
         }

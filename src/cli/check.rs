@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::simulate::OutputFormat;
 use super::{CliError, acc_benchmark, interrupt, output, file_kind, progress, args};
 use crumple_evidence::{
-    CertificateReport, CountsStatus, Rerun, RerunError, Sample, checker_file, check_covers_scenario, report_json, report_text,
+    CertificateReport, CountsStatus, Rerun, RerunError, BlockSelection, checker_file, check_covers_scenario, report_json, report_text,
 };
 use crumple_world::control::NameOrigin;
 use crumple_world::network::NetworkFile;
@@ -146,7 +146,7 @@ impl Check {
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The keys of a new table's hashes are random: nobody could know them when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
-        let sample = if percent < 100.0 { Sample::Share { percent, seed } } else { Sample::Whole };
+        let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
         let bar = progress::run_bar("counting again", rerun.run_count(sample), quiet);
         let counted = rerun.confirm(sample, &progress::bar_observer(&bar));
         bar.finish_and_clear();

@@ -9,7 +9,7 @@ use super::simulate::OutputFormat;
 use super::{CliError, value_enums, interrupt, output, progress, args};
 use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    Aim, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardSummary, CampaignSummary,
+    SearchObjective, Campaign, CampaignOptions, CampaignProgress, EvaluationLog, MergedCampaign, MethodSummary, ShardSummary, CampaignSummary,
 };
 use crumple_search::falsify::{FailureCriterion, Method, MetamorphicRelation, non_finite};
 use crumple_store::shard::ShardId;
@@ -63,7 +63,7 @@ pub(super) struct Falsify {
     method: Method,
     /// Which failures the search is after once it knows some: severest, likeliest or nearest (to nominal)
     #[arg(long, value_name = "A", default_value = "severest")]
-    aim: Aim,
+    aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000))]
     budget: u64,

@@ -13,7 +13,7 @@ use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, value_enums, output};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedFeature, FittedSize, MAX_VEHICLES, Sample, ExtractionConfig, fit, format_p_value};
+use crumple_evidence::fit::{FamilyFit, FittedSpace, FittedFeature, FittedSize, MAX_VEHICLES, EpisodeSample, ExtractionConfig, fit, format_p_value};
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;
 use crumple_world::recording::map::RecordingMap;
@@ -99,25 +99,25 @@ impl Fit {
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             recordings.push(recording);
         }
-        let sample = Sample::of(&recordings, taken).map_err(CliError::input)?;
+        let sample = EpisodeSample::from_recordings(&recordings, taken).map_err(CliError::input)?;
         let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
         let text = file::to_toml(&fitted.space).map_err(CliError::input)?;
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, &self.out, text.as_bytes(), self.force)?;
         if let Some(path) = &self.plot {
-            stage_unless_edited(&mut files, path, &render_figure(&figures::fitted(&fitted), path)?, self.force)?;
+            stage_unless_edited(&mut files, path, &render_figure(&figures::draw_fit(&fitted), path)?, self.force)?;
         }
         files.commit()?;
         output::print_result(self.format, &to_json(&sample, &fitted), || format_fit(&sample, &fitted))
     }
 }
 
-fn to_json(sample: &Sample, fitted: &FittedSpace) -> serde_json::Value {
+fn to_json(sample: &EpisodeSample, fitted: &FittedSpace) -> serde_json::Value {
     json!({
         "space": fitted.space.name(),
         "exposure": sample.exposure,
         "waves": cluster_count(sample),
-        "left_out": sample.left_out,
+        "left_out": sample.exclusions,
         "numbers": fitted.features,
         "sizes": fitted.sizes,
         "depending": fitted.copula_parameters,
@@ -125,19 +125,19 @@ fn to_json(sample: &Sample, fitted: &FittedSpace) -> serde_json::Value {
     })
 }
 
-fn cluster_count(sample: &Sample) -> u32 {
-    sample.observed.waves.iter().max().map_or(0, |last| last + 1)
+fn cluster_count(sample: &EpisodeSample) -> u32 {
+    sample.observed.braking_clusters.iter().max().map_or(0, |last| last + 1)
 }
 
-fn format_fit(sample: &Sample, fitted: &FittedSpace) -> String {
+fn format_fit(sample: &EpisodeSample, fitted: &FittedSpace) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     let _ = write_fit(sample, fitted, &mut text);
     text
 }
 
-fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
-    let Sample { exposure, taken, left_out, sizes, outside_by, .. } = sample;
+fn write_fit(sample: &EpisodeSample, fitted: &FittedSpace, out: &mut String) -> std::fmt::Result {
+    let EpisodeSample { exposure, extraction: taken, exclusions: left_out, sizes, most_out_of_range: outside_by, .. } = sample;
     let waves = cluster_count(sample);
     writeln!(out, "{} braking episodes in {waves} waves, of {} vehicles", exposure.episodes, taken.vehicles)?;
     for source in &exposure.sources {
@@ -148,12 +148,12 @@ fn write_fit(sample: &Sample, fitted: &FittedSpace, out: &mut String) -> std::fm
         let all = exposure.episodes + exposure.left_out;
         writeln!(out, "  of {all} brakings in these hours {} could be used", exposure.episodes)?;
     }
-    let left_out = left_out.in_words(taken.vehicles);
+    let left_out = left_out.sentences(taken.vehicles);
     left_out.iter().try_for_each(|words| writeln!(out, "  {words}"))?;
     if let Some(by) = outside_by {
         writeln!(out, "  Outside the ranges is most often {by}")?;
     }
-    sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.in_words(index)))?;
+    sizes.iter().enumerate().try_for_each(|(index, sizes)| writeln!(out, "  {}", sizes.sentence(index)))?;
     for number in &fitted.features {
         write_feature(number, out)?;
     }

@@ -238,23 +238,23 @@ impl Merge {
         }
     }
 
-    fn text_or_json_format(&self, kind: &str) -> Result<Format, CliError> {
+    fn text_or_json_format(&self, kind: &str) -> Result<OutputFormat, CliError> {
         match self.format {
-            MergeFormat::Text => Ok(Format::Text),
-            MergeFormat::Json => Ok(Format::Json),
+            MergeFormat::Text => Ok(OutputFormat::Text),
+            MergeFormat::Json => Ok(OutputFormat::Json),
             MergeFormat::Junit | MergeFormat::Html => {
                 Err(CliError::Input(format!("--format: JUnit and HTML are of suites, and these are: {kind}")))
             }
         }
     }
 
-    fn write_count(&self, merged: &MergedCount, format: Format) -> Result<(), CliError> {
+    fn write_count(&self, merged: &MergedCount, format: OutputFormat) -> Result<(), CliError> {
         let written = match merged.write_in(&self.out) {
             // What was counted is an answer, too.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
                 let printed = match format {
-                    Format::Json => output::print_json(&merged.partial_count()),
-                    Format::Text => {
+                    OutputFormat::Json => output::print_json(&merged.partial_count()),
+                    OutputFormat::Text => {
                         let tally = merged.tally().unwrap_or_default();
                         output::print(&verify::tally_line(merged.record().is_comparison(), &tally))
                     }
@@ -266,8 +266,8 @@ impl Merge {
         let Some((path, certificate)) = written else {
             let so_far = merged.partial_count();
             let printed = match format {
-                Format::Json => output::print_json(&so_far),
-                Format::Text => output::print(&format_incomplete(&so_far)),
+                OutputFormat::Json => output::print_json(&so_far),
+                OutputFormat::Text => output::print(&format_incomplete(&so_far)),
             };
             let runs: u64 = so_far.missing_runs.iter().map(|[start, end]| end.saturating_sub(*start)).sum();
             return CliError::gate_first(
@@ -278,12 +278,12 @@ impl Merge {
         let said = verify::certificate_verdict(&path, &certificate)?;
         let exposed = merged.rate_per_exposure()?;
         match format {
-            Format::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
-            Format::Text => {
+            OutputFormat::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
+            OutputFormat::Text => {
                 let tally = merged.tally().unwrap_or_default();
                 let exposed = exposed.map(|rate| exposure::format_rate(&rate)).unwrap_or_default();
                 let counted = verify::tally_line(merged.record().is_comparison(), &tally);
-                output::print_coloured(Format::Text, &format!("{counted}{said}{exposed}"))
+                output::print_coloured(OutputFormat::Text, &format!("{counted}{said}{exposed}"))
             }
         }
     }

@@ -221,7 +221,7 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
         )?;
     }
     if let Some(rate) = &report.exposure {
-        out.push_str(&exposure::format_report(rate));
+        out.push_str(&exposure::format_rate(rate));
     }
     let contacts = report.is_contact_failure();
     writeln!(

@@ -324,7 +324,7 @@ pub(super) fn render_motion_figure(
     let title = format!("{}, {controller}", scenario.spec().name);
     let labels = draw::vehicle_names(scenario);
     let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
-    let picture = simulate_failures::motion(&figure, PanelArrangement::Wide);
+    let picture = draw::draw_motion(&figure, PanelArrangement::Wide);
     match extension(path) {
         Some("png") => feature::render_png(&picture),
         _ => Ok(picture.document().into_bytes()),

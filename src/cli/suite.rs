@@ -32,7 +32,7 @@ enum SuiteSubcommand {
     List {
         /// How to print
         #[arg(long, value_enum, default_value = "text")]
-        format: super::simulate::SuiteFormat,
+        format: super::simulate::OutputFormat,
     },
     /// Print the file of a suite, to read or to change
     Show {
@@ -107,7 +107,7 @@ struct SuiteTable {
     estimator: EstimatorKind,
     /// How to print: a table in Markdown, or one JSON object a suite, as `crumple suite run` has it
     #[arg(long, value_enum, default_value = "text")]
-    format: super::simulate::SuiteFormat,
+    format: super::simulate::OutputFormat,
 }
 
 impl SuiteTable {
@@ -117,8 +117,8 @@ impl SuiteTable {
         let run = |(name, _): &(&str, &str)| run(&find_suite(name)?, &controllers, self.estimator).map_err(CliError::input);
         let results = SHIPPED_SUITES.iter().map(run).collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
-            super::simulate::SuiteFormat::Json => results.iter().try_for_each(output::print_json),
-            super::simulate::SuiteFormat::Text => output::print(&suite::table(&results)),
+            super::simulate::OutputFormat::Json => results.iter().try_for_each(output::print_json),
+            super::simulate::OutputFormat::Text => output::print(&suite::render_markdown_table(&results)),
         }
     }
 }
@@ -184,7 +184,7 @@ fn find_suite(name: &str) -> Result<TestSuite, CliError> {
     Ok(TestSuite::load(path)?)
 }
 
-fn list_suites(format: super::simulate::SuiteFormat) -> Result<(), CliError> {
+fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
     let mut suites = Vec::new();
     // Writing to a string cannot fail.
     let mut text = String::new();
@@ -233,7 +233,7 @@ impl RunSuite {
             output::note("note: --out FOLDER writes the scenarios that failed, to be replayed", quiet);
         }
         let printed = match self.format {
-            SuiteFormat::Text => output::print_coloured(super::simulate::SuiteFormat::Text, &text),
+            SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
             SuiteFormat::Json | SuiteFormat::Junit | SuiteFormat::Html => output::print(&text),
         };
         CliError::gate_first(self.check_expectation(&result), printed)
@@ -328,7 +328,7 @@ fn render(
     let replay = |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
-        SuiteFormat::Junit => suite::xml(result),
+        SuiteFormat::Junit => suite::render_junit(result),
         SuiteFormat::Html => suite::render_html(result, controllers, replay),
         SuiteFormat::Text => suite::render_text(result, replay),
     })

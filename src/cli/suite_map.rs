@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::simulate::OutputFormat;
 use super::{CliError, value_enums, feature, output, args};
-use crumple_report::suite::{map_figure, render_map_html, render_map_text};
+use crumple_report::suite::{draw_map, render_map_html, render_map_text};
 use crumple_store::disk::StagedFiles;
 use crumple_suites::{CrashMap, MapProblem, CrashMapSpec, CrashMapSituation};
 use crumple_world::observation::EstimatorKind;
@@ -129,8 +129,8 @@ impl MapCommand {
 impl MapFile {
     fn render(&self, map: &CrashMap) -> Result<Vec<u8>, CliError> {
         Ok(match self.kind {
-            MapFileFormat::Svg => map_figure(map).document().into_bytes(),
-            MapFileFormat::Png => feature::render_png(&map_figure(map))?,
+            MapFileFormat::Svg => draw_map(map).document().into_bytes(),
+            MapFileFormat::Png => feature::render_png(&draw_map(map))?,
             MapFileFormat::Html => render_map_html(map).into_bytes(),
             MapFileFormat::Json => to_json(map)?.into_bytes(),
         })

@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::EvaluationLog;
-use crumple_search::worst_case::{Aim, EscapeKind};
+use crumple_search::worst_case::{AttackObjective, EscapeKind};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::recording::LeaderSelection;
 use crumple_world::sim::AfterContact;
@@ -28,10 +28,10 @@ pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
 ];
 
 /// What an attack may be after.
-pub(super) const AIMS: &[ArgValue<Aim>] = &[
-    (Aim::Mildest, Aim::Mildest.name(), "A collision with the least ∫ a² of the leader"),
-    (Aim::LeastPeak, Aim::LeastPeak.name(), "A collision with the least peak of its braking"),
-    (Aim::Severest, Aim::Severest.name(), "The fastest impact"),
+pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
+    (AttackObjective::Mildest, AttackObjective::Mildest.name(), "A collision with the least ∫ a² of the leader"),
+    (AttackObjective::LeastPeak, AttackObjective::LeastPeak.name(), "A collision with the least peak of its braking"),
+    (AttackObjective::Severest, AttackObjective::Severest.name(), "The fastest impact"),
 ];
 
 /// Which of all escapes may be shown.

@@ -9,7 +9,7 @@ use super::artifacts::ArtifactArgs;
 use super::{CliError, value_enums, args};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
-use crumple_search::worst_case::{Aim, AttackError, AttackMethod, AttackReport, Envelope, attack};
+use crumple_search::worst_case::{AttackObjective, AttackError, AttackMethod, AttackReport, Envelope, attack};
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -48,7 +48,7 @@ pub(super) struct WorstCase {
     estimator: EstimatorKind,
     /// What to look for: least ∫a², least peak, or the fastest impact
     #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
-    aim: Aim,
+    aim: AttackObjective,
     /// Hardest braking of the leader in m/s²; default all it has on this road
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
     max_brake: Option<f64>,

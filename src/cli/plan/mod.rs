@@ -11,7 +11,7 @@ use clap::{Args, ValueEnum};
 use super::simulate::OutputFormat;
 use super::{CliError, value_enums, output, args};
 use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::Aim;
+use crumple_search::falsify::campaign::SearchObjective;
 use crumple_store::jobs::Engine;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -63,7 +63,7 @@ pub(super) struct PlanCommand {
     method: Method,
     /// Which failures the search is after: severest, likeliest or nearest
     #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
-    aim: Aim,
+    aim: SearchObjective,
     /// What must hold in the search: `no contact`, or a formula of signal temporal logic
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT, conflicts_with_all = ["rate_below", "runs"])]
     spec: String,
@@ -145,7 +145,7 @@ impl PlanCommand {
             files_of_shards: u64::from(shards) * 4,
             command: std::iter::once("crumple".to_owned()).chain(command.clone()).collect(),
         };
-        self.stage(&planned, command)?;
+        self.write(&planned, command)?;
         let text = match self.format {
             OutputFormat::Json => serde_json::to_string(&planned).map_err(CliError::input)? + "\n",
             OutputFormat::Text => self.summary(&planned)?,

@@ -163,7 +163,7 @@ impl MergedEvidence {
     /// # Errors
     /// [`MergeError`] if it cannot be read, or is not a shard of the same assessment.
     pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
-        self.0.add(folder, found)
+        self.0.add_shard(folder, found)
     }
 
     /// Pieces that no shard has gathered.

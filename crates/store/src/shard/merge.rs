@@ -42,7 +42,7 @@ impl<W: Mergeable> MergedShards<W> {
     pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
         let (_, work, _) = read_shard(found)?;
         let mut merged = Self { work, parts: Parts::new(folder) };
-        merged.add(folder, found)?;
+        merged.add_shard(folder, found)?;
         Ok(merged)
     }
 
@@ -50,7 +50,7 @@ impl<W: Mergeable> MergedShards<W> {
     ///
     /// # Errors
     /// [`MergeError`] if it cannot be read, or is not a shard of the same work.
-    pub fn add(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
+    pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
         let (shard, work, own) = read_shard::<W>(found)?;
         if let Some(field) = self.work.differing_field(&work) {
             return Err(self.parts.foreign_error(folder, field));
